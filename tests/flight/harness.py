@@ -15,7 +15,6 @@ DUTY_FULL = 2100
 PAGE_BYTES = 512
 TRACKING = ("_following_max_deg", "_motion_V", "_motion_deg")
 """Ends of the names of the parameters that decide whether an axis does what it is driven to do."""
-"""Full duty of the Due, in counts."""
 
 
 class Harness:

@@ -30,8 +30,7 @@ def landing_without_travel() -> Harness:
     return harness
 
 
-def test_arming_is_refused_below_the_table_too() -> None:
-    harness = Harness()
+def test_arming_is_refused_below_the_table_too(harness: Harness) -> None:
     harness.glide(0, REST_DEG - 4, 1.0)
     harness.tick(500)
     harness.ping()
@@ -41,8 +40,7 @@ def test_arming_is_refused_below_the_table_too() -> None:
 
 @pytest.mark.parametrize("axis", [1, 2])
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_limit_reports_which_way_it_was_broken(axis: int, sign: int) -> None:
-    harness = Harness()
+def test_a_limit_reports_which_way_it_was_broken(harness: Harness, axis: int, sign: int) -> None:
     harness.set("setpoint_hold_s", 5)
     harness.set("setpoint_land_s", 30)
     harness.fly()
@@ -52,8 +50,7 @@ def test_a_limit_reports_which_way_it_was_broken(axis: int, sign: int) -> None:
     assert harness.last_event(Event.FAULT).value == pytest.approx(sign * limit_deg, abs=2)
 
 
-def test_late_ticks_are_reported_as_counted_since_arming() -> None:
-    harness = Harness()
+def test_late_ticks_are_reported_as_counted_since_arming(harness: Harness) -> None:
     harness.tick(7, late=True)
     harness.fly()
     harness.tick(20, late=True)
@@ -101,19 +98,16 @@ def test_an_axis_that_is_held_already_keeps_its_setpoint_when_its_loop_is_asked_
     assert math.degrees(law.setpoint_rad[2]) == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_setpoint_too_late_for_a_landing_is_no_fault() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, 0, 60)
-    harness.ask(d.LandMessage(0))
-    before = sum(event.kind == Event.SETPOINT_REJECTED for event in harness.events)
-    harness.keep_flying(1000)
-    assert harness.state is State.LANDING
-    assert sum(event.kind == Event.SETPOINT_REJECTED for event in harness.events) == before
+def test_a_setpoint_too_late_for_a_landing_is_no_fault(flying: Harness) -> None:
+    flying.glide(0, 0, 60)
+    flying.ask(d.LandMessage(0))
+    before = sum(event.kind == Event.SETPOINT_REJECTED for event in flying.events)
+    flying.keep_flying(1000)
+    assert flying.state is State.LANDING
+    assert sum(event.kind == Event.SETPOINT_REJECTED for event in flying.events) == before
 
 
-def test_the_time_of_a_landing_that_took_too_long_is_counted_from_its_beginning() -> None:
-    harness = Harness()
+def test_the_time_of_a_landing_that_took_too_long_is_counted_from_its_beginning(harness: Harness) -> None:
     harness.tick(5000)
     harness.ping()
     harness.fly()
@@ -127,8 +121,7 @@ def test_the_time_of_a_landing_that_took_too_long_is_counted_from_its_beginning(
     assert fault.value == pytest.approx(12.0, abs=0.1)
 
 
-def test_a_voltage_is_valid_for_the_time_it_names() -> None:
-    harness = Harness()
+def test_a_voltage_is_valid_for_the_time_it_names(harness: Harness) -> None:
     harness.arm()
     harness.ask(d.StreamMessage(0))
     harness.send(d.VoltagesMessage(1.0, 1.0, 20))
@@ -138,29 +131,27 @@ def test_a_voltage_is_valid_for_the_time_it_names() -> None:
     assert harness.state is State.HOLD
 
 
-def test_an_arm_must_lie_still_at_a_stretch_to_have_landed() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, REST_DEG + 3, 60)
-    harness.ask(d.LandMessage(0))
+def test_an_arm_must_lie_still_at_a_stretch_to_have_landed(flying: Harness) -> None:
+    flying.glide(0, REST_DEG + 3, 60)
+    flying.ask(d.LandMessage(0))
     for _ in range(4):
-        harness.glide(0, REST_DEG, 30)
-        harness.tick(200)
-        harness.glide(0, REST_DEG + 3, 30)
-        harness.tick(50)
-    assert harness.state is State.LANDING
+        flying.glide(0, REST_DEG, 30)
+        flying.tick(200)
+        flying.glide(0, REST_DEG + 3, 30)
+        flying.tick(50)
+    assert flying.state is State.LANDING
 
 
 @pytest.mark.parametrize(("above_deg", "landed"), [(1.3, True), (1.7, False)])
-def test_an_arm_has_landed_within_a_degree_and_a_half_of_its_rest(above_deg: float, landed: bool) -> None:
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, REST_DEG + 8, 60)
-    harness.ask(d.LandMessage(0))
-    harness.glide(0, REST_DEG + above_deg, 30)
-    harness.tick(2000)
-    assert harness.state is (State.IDLE if landed else State.FAULT)
-    assert landed or harness.last_event(Event.FAULT).detail == Fault.ELEVATION_REST
+def test_an_arm_has_landed_within_a_degree_and_a_half_of_its_rest(
+    flying: Harness, above_deg: float, landed: bool
+) -> None:
+    flying.glide(0, REST_DEG + 8, 60)
+    flying.ask(d.LandMessage(0))
+    flying.glide(0, REST_DEG + above_deg, 30)
+    flying.tick(2000)
+    assert flying.state is (State.IDLE if landed else State.FAULT)
+    assert landed or flying.last_event(Event.FAULT).detail == Fault.ELEVATION_REST
 
 
 def test_a_host_that_has_been_silent_for_half_a_second_cannot_arm() -> None:
@@ -171,8 +162,7 @@ def test_a_host_that_has_been_silent_for_half_a_second_cannot_arm() -> None:
     assert age_s == pytest.approx(0.501)
 
 
-def test_the_status_counts_the_illegal_transitions_of_each_encoder() -> None:
-    harness = Harness()
+def test_the_status_counts_the_illegal_transitions_of_each_encoder(harness: Harness) -> None:
     for axis, transitions in enumerate((3, 5, 7)):
         harness.break_encoder(axis, transitions)
     harness.tick(300)
@@ -180,8 +170,7 @@ def test_the_status_counts_the_illegal_transitions_of_each_encoder() -> None:
     assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (3, 5, 7)
 
 
-def test_more_illegal_transitions_than_the_status_can_count_stay_at_its_end() -> None:
-    harness = Harness()
+def test_more_illegal_transitions_than_the_status_can_count_stay_at_its_end(harness: Harness) -> None:
     for axis, transitions in enumerate((65_535, 65_536, 70_000)):
         harness.break_encoder(axis, transitions)
     harness.tick(300)

@@ -74,8 +74,7 @@ def test_nothing_is_obeyed_before_a_handshake() -> None:
     assert harness.state is State.IDLE
 
 
-def test_armed_drives_are_enabled_at_zero_voltage() -> None:
-    harness = Harness()
+def test_armed_drives_are_enabled_at_zero_voltage(harness: Harness) -> None:
     assert harness.arm().result == Result.OK
     assert harness.state is State.ARMED
     assert harness.motors == (0, 0, True)
@@ -87,44 +86,37 @@ def refused_with(harness: Harness, fault: Fault) -> None:
     assert harness.motors_off
 
 
-def test_arming_is_refused_away_from_rest() -> None:
-    harness = Harness()
+def test_arming_is_refused_away_from_rest(harness: Harness) -> None:
     harness.glide(0, REST_DEG + 4, 1.0)
     harness.tick(500)
     harness.ping()
     refused_with(harness, Fault.NOT_AT_REST)
 
 
-def test_arming_is_refused_with_the_short_arm_tilted() -> None:
-    harness = Harness()
+def test_arming_is_refused_with_the_short_arm_tilted(harness: Harness) -> None:
     harness.glide(1, 12, 20.0)
     harness.tick(400)
     harness.ping()
     refused_with(harness, Fault.PITCH_NOT_LEVEL)
 
 
-def test_arming_is_refused_while_moving() -> None:
-    harness = Harness()
+def test_arming_is_refused_while_moving(harness: Harness) -> None:
     harness.glide(2, 20, 30.0)
     refused_with(harness, Fault.MOVING)
 
 
-def test_arming_is_refused_when_parameters_contradict_each_other() -> None:
-    harness = Harness()
+def test_arming_is_refused_when_parameters_contradict_each_other(harness: Harness) -> None:
     assert harness.set("motor_max_V", 24).result == Result.OK  # above the supply of 12 V
     refused_with(harness, Fault.PARAMETERS_INVALID)
 
 
-def test_arming_is_refused_while_the_hardware_stop_is_pressed() -> None:
-    harness = Harness()
+def test_arming_is_refused_while_the_hardware_stop_is_pressed(harness: Harness) -> None:
     harness.core.stop_input(True)
     refused_with(harness, Fault.HARDWARE_STOP)
 
 
-def test_arming_is_refused_in_flight() -> None:
-    harness = Harness()
-    harness.fly()
-    reply = harness.arm()
+def test_arming_is_refused_in_flight(flying: Harness) -> None:
+    reply = flying.arm()
     assert (reply.result, reply.detail) == (Result.BAD_STATE, State.CLOSED_LOOP)
 
 
@@ -142,9 +134,8 @@ def test_arming_is_refused_in_flight() -> None:
     ],
 )
 def test_each_limit_ends_the_flight_and_names_itself(
-    axis: int, angle_deg: float, rate_deg_s: float, fault: Fault
+    harness: Harness, axis: int, angle_deg: float, rate_deg_s: float, fault: Fault
 ) -> None:
-    harness = Harness()
     harness.set("setpoint_hold_s", 5)
     harness.set("setpoint_land_s", 30)
     harness.fly()
@@ -159,9 +150,8 @@ def test_each_limit_ends_the_flight_and_names_itself(
     "axis, fault", [(0, Fault.ENCODER_ELEVATION), (1, Fault.ENCODER_PITCH), (2, Fault.ENCODER_TRAVEL)]
 )
 def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(
-    axis: int, fault: Fault
+    harness: Harness, axis: int, fault: Fault
 ) -> None:
-    harness = Harness()
     harness.break_encoder(axis, 100)  # before arming they do not count
     harness.tick()
     harness.fly()
@@ -176,8 +166,9 @@ def test_illegal_encoder_transitions_are_tolerated_up_to_the_parameter_then_cut(
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("before", [0xFFFA, 0xFFFF, 0x10000, 0xFFFF_FFFA, 0xFFFF_FFFF])
-def test_illegal_transitions_before_arming_hide_none_in_flight(axis: int, before: int) -> None:
-    harness = Harness()
+def test_illegal_transitions_before_arming_hide_none_in_flight(
+    harness: Harness, axis: int, before: int
+) -> None:
     harness.break_encoder(axis, before)
     harness.tick()
     harness.fly()
@@ -188,21 +179,20 @@ def test_illegal_transitions_before_arming_hide_none_in_flight(axis: int, before
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("deg", [0.0, 300.0])
-def test_an_overloaded_encoder_cuts_in_its_own_name_whatever_it_counted(axis: int, deg: float) -> None:
-    harness = Harness()
-    harness.fly()
-    harness.angles_deg[axis] += deg
-    harness.break_encoder(axis, 100 if deg else 0)
-    harness.core.overload(400)
-    harness.tick(2)
-    assert harness.state is State.FAULT
-    assert harness.motors_off
-    fault = harness.last_event(Event.FAULT)
+def test_an_overloaded_encoder_cuts_in_its_own_name_whatever_it_counted(
+    flying: Harness, axis: int, deg: float
+) -> None:
+    flying.angles_deg[axis] += deg
+    flying.break_encoder(axis, 100 if deg else 0)
+    flying.core.overload(400)
+    flying.tick(2)
+    assert flying.state is State.FAULT
+    assert flying.motors_off
+    fault = flying.last_event(Event.FAULT)
     assert (fault.detail, fault.value) == (Fault.ENCODER_OVERLOAD, 400.0)
 
 
-def test_arming_is_refused_while_an_encoder_is_overloaded() -> None:
-    harness = Harness()
+def test_arming_is_refused_while_an_encoder_is_overloaded(harness: Harness) -> None:
     harness.core.overload(400)
     harness.tick()
     refused_with(harness, Fault.ENCODER_OVERLOAD)
@@ -211,52 +201,48 @@ def test_arming_is_refused_while_an_encoder_is_overloaded() -> None:
     assert harness.arm().result == d.Result.OK
 
 
-def test_late_ticks_cut_the_motors_when_there_are_too_many() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.tick(10, late=True)
-    assert harness.state is State.CLOSED_LOOP
-    harness.tick(2, late=True)
-    harness.tick(20)
-    assert harness.motors_off
-    assert harness.last_event(Event.FAULT).detail == Fault.TICK_OVERRUN
+def test_late_ticks_cut_the_motors_when_there_are_too_many(flying: Harness) -> None:
+    flying.tick(10, late=True)
+    assert flying.state is State.CLOSED_LOOP
+    flying.tick(2, late=True)
+    flying.tick(20)
+    assert flying.motors_off
+    assert flying.last_event(Event.FAULT).detail == Fault.TICK_OVERRUN
 
 
-def test_a_fault_stays_until_it_is_cleared_and_not_while_its_cause_is_pressed() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.core.stop_input(True)
-    harness.tick(2)
-    assert harness.state is State.FAULT
-    assert harness.arm().result == Result.BAD_STATE
-    assert harness.ask(d.ClearFaultMessage(0)).detail == Fault.HARDWARE_STOP
-    harness.core.stop_input(False)
-    harness.tick()
-    assert harness.ask(d.ClearFaultMessage(0)).result == Result.OK
-    assert harness.state is State.IDLE
+def test_a_fault_stays_until_it_is_cleared_and_not_while_its_cause_is_pressed(flying: Harness) -> None:
+    flying.core.stop_input(True)
+    flying.tick(2)
+    assert flying.state is State.FAULT
+    assert flying.arm().result == Result.BAD_STATE
+    assert flying.ask(d.ClearFaultMessage(0)).detail == Fault.HARDWARE_STOP
+    flying.core.stop_input(False)
+    flying.tick()
+    assert flying.ask(d.ClearFaultMessage(0)).result == Result.OK
+    assert flying.state is State.IDLE
 
 
-def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then_cuts() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, 0, 20)
-    harness.keep_flying(2000)
+def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then_cuts(
+    flying: Harness,
+) -> None:
+    flying.glide(0, 0, 20)
+    flying.keep_flying(2000)
     # The last setpoint was taken 20 ticks before keep_flying ended.
-    harness.tick(470)
-    assert harness.state is State.CLOSED_LOOP
-    harness.tick(20)
-    assert harness.state is State.HOLD
-    assert harness.last_event(Event.SETPOINT_STALE).value == pytest.approx(50, abs=2)
-    harness.tick(1470)
-    assert harness.state is State.HOLD
-    harness.tick(40)
-    assert harness.state is State.LANDING
-    harness.glide(0, REST_DEG, 10)
-    harness.tick(250)
-    assert harness.state is State.LANDING
-    harness.tick(400)
-    assert harness.state is State.IDLE
-    assert harness.motors_off
+    flying.tick(470)
+    assert flying.state is State.CLOSED_LOOP
+    flying.tick(20)
+    assert flying.state is State.HOLD
+    assert flying.last_event(Event.SETPOINT_STALE).value == pytest.approx(50, abs=2)
+    flying.tick(1470)
+    assert flying.state is State.HOLD
+    flying.tick(40)
+    assert flying.state is State.LANDING
+    flying.glide(0, REST_DEG, 10)
+    flying.tick(250)
+    assert flying.state is State.LANDING
+    flying.tick(400)
+    assert flying.state is State.IDLE
+    assert flying.motors_off
 
 
 def states_in_telemetry(harness: Harness) -> list[tuple[State, Trigger]]:
@@ -267,15 +253,13 @@ def states_in_telemetry(harness: Harness) -> list[tuple[State, Trigger]]:
     return [pair for pair, _ in itertools.groupby(pairs)]
 
 
-def test_telemetry_states_the_cause_of_a_state_also_after_touchdown() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.tick(600)
-    harness.keep_flying(40, elevation_deg=REST_DEG)
-    harness.tick(2900)
-    assert harness.state is State.IDLE
-    harness.tick(40)
-    reported = states_in_telemetry(harness)
+def test_telemetry_states_the_cause_of_a_state_also_after_touchdown(flying: Harness) -> None:
+    flying.tick(600)
+    flying.keep_flying(40, elevation_deg=REST_DEG)
+    flying.tick(2900)
+    assert flying.state is State.IDLE
+    flying.tick(40)
+    reported = states_in_telemetry(flying)
     assert reported == [
         (State.IDLE, Trigger.START),
         (State.ARMED, Trigger.ARM),
@@ -286,77 +270,68 @@ def test_telemetry_states_the_cause_of_a_state_also_after_touchdown() -> None:
         (State.LANDING, Trigger.STALE_LAND),
         (State.IDLE, Trigger.STALE_LAND),
     ]
-    events = [(e.detail, e.cause) for e in harness.events if e.kind == Event.STATE]
+    events = [(e.detail, e.cause) for e in flying.events if e.kind == Event.STATE]
     assert events == [*reported[1:-1], (State.IDLE, Trigger.TOUCHDOWN)]
 
 
-def test_telemetry_reports_a_trip_and_its_clearing() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.move(pitch_deg=60)
-    harness.tick(40)
-    harness.ask(d.ClearFaultMessage(0))
-    harness.tick(40)
-    assert states_in_telemetry(harness)[-2:] == [(State.FAULT, Trigger.TRIP), (State.IDLE, Trigger.CLEAR)]
+def test_telemetry_reports_a_trip_and_its_clearing(flying: Harness) -> None:
+    flying.move(pitch_deg=60)
+    flying.tick(40)
+    flying.ask(d.ClearFaultMessage(0))
+    flying.tick(40)
+    assert states_in_telemetry(flying)[-2:] == [(State.FAULT, Trigger.TRIP), (State.IDLE, Trigger.CLEAR)]
 
 
-def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.tick(600)
-    assert harness.state is State.HOLD
-    harness.keep_flying(40, elevation_deg=REST_DEG)
-    assert harness.state is State.CLOSED_LOOP
-    harness.glide(0, -10, 20)
-    harness.tick(2100)
-    assert harness.state is State.LANDING
-    harness.keep_flying(40)
-    assert harness.state is State.LANDING
+def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing(flying: Harness) -> None:
+    flying.tick(600)
+    assert flying.state is State.HOLD
+    flying.keep_flying(40, elevation_deg=REST_DEG)
+    assert flying.state is State.CLOSED_LOOP
+    flying.glide(0, -10, 20)
+    flying.tick(2100)
+    assert flying.state is State.LANDING
+    flying.keep_flying(40)
+    assert flying.state is State.LANDING
 
 
-def test_landing_that_never_reaches_the_table_times_out_with_a_fault() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, 0, 60)
-    assert harness.ask(d.LandMessage(0)).result == Result.OK
+def test_landing_that_never_reaches_the_table_times_out_with_a_fault(flying: Harness) -> None:
+    flying.glide(0, 0, 60)
+    assert flying.ask(d.LandMessage(0)).result == Result.OK
     for _ in range(149):
-        harness.glide(0, 2.0, 50.0)
-        harness.glide(0, 0.0, 50.0)
-    assert harness.state is State.LANDING
-    harness.tick(200)
-    assert harness.motors_off
-    assert harness.last_event(Event.FAULT).detail == Fault.LANDING_TIMEOUT
+        flying.glide(0, 2.0, 50.0)
+        flying.glide(0, 0.0, 50.0)
+    assert flying.state is State.LANDING
+    flying.tick(200)
+    assert flying.motors_off
+    assert flying.last_event(Event.FAULT).detail == Fault.LANDING_TIMEOUT
 
 
 @pytest.mark.parametrize("rest_deg", [REST_DEG - 2.5, REST_DEG + 2.0, -10.0])
-def test_an_arm_that_rests_elsewhere_than_before_take_off_has_not_landed(rest_deg: float) -> None:
+def test_an_arm_that_rests_elsewhere_than_before_take_off_has_not_landed(
+    flying: Harness, rest_deg: float
+) -> None:
     """Its encoder has lost counts, or it floats without voltage."""
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, 0, 60)
-    harness.ask(d.LandMessage(0))
-    harness.glide(0, rest_deg, 10)
-    harness.tick(1500)
-    assert harness.state is State.FAULT
-    assert harness.last_event(Event.FAULT).detail == Fault.ELEVATION_REST
+    flying.glide(0, 0, 60)
+    flying.ask(d.LandMessage(0))
+    flying.glide(0, rest_deg, 10)
+    flying.tick(1500)
+    assert flying.state is State.FAULT
+    assert flying.last_event(Event.FAULT).detail == Fault.ELEVATION_REST
 
 
-def test_an_elevation_below_the_table_is_landed_without_its_encoder() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, -5, 60)
-    harness.keep_flying(600, elevation_deg=-5.0)
-    harness.glide(0, REST_DEG - 2.9, 60)
-    assert harness.state is State.CLOSED_LOOP
-    harness.glide(0, REST_DEG - 3.2, 60)
-    assert harness.last_event(Event.FAULT).detail == Fault.ELEVATION_BELOW_TABLE
-    assert harness.state is State.EMERGENCY_LANDING
-    harness.tick(18_100)
-    assert harness.state is State.FAULT and harness.motors_off
+def test_an_elevation_below_the_table_is_landed_without_its_encoder(flying: Harness) -> None:
+    flying.glide(0, -5, 60)
+    flying.keep_flying(600, elevation_deg=-5.0)
+    flying.glide(0, REST_DEG - 2.9, 60)
+    assert flying.state is State.CLOSED_LOOP
+    flying.glide(0, REST_DEG - 3.2, 60)
+    assert flying.last_event(Event.FAULT).detail == Fault.ELEVATION_BELOW_TABLE
+    assert flying.state is State.EMERGENCY_LANDING
+    flying.tick(18_100)
+    assert flying.state is State.FAULT and flying.motors_off
 
 
-def test_on_a_bench_a_person_may_move_the_arm_anywhere() -> None:
-    harness = Harness()
+def test_on_a_bench_a_person_may_move_the_arm_anywhere(harness: Harness) -> None:
     harness.arm()
     harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
     for k in range(50):
@@ -366,9 +341,10 @@ def test_on_a_bench_a_person_may_move_the_arm_anywhere() -> None:
 
 
 @pytest.mark.parametrize("armed_deg", [REST_DEG, REST_DEG + 1.5])
-def test_an_elevation_that_decreases_at_take_off_has_the_wrong_sign(armed_deg: float) -> None:
+def test_an_elevation_that_decreases_at_take_off_has_the_wrong_sign(
+    harness: Harness, armed_deg: float
+) -> None:
     """The voltage stays at that of a hover meanwhile. Then the motors are cut: the arm is on the table."""
-    harness = Harness()
     harness.glide(0, armed_deg, 1.0)
     harness.tick(300)
     harness.ping()
@@ -396,26 +372,23 @@ STEP_MAX_COUNTS = (7, 21, 9)
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_step_that_no_arm_makes_is_landed_without_its_axis(axis: int, sign: int) -> None:
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, -5, 60)
-    harness.keep_flying(600, elevation_deg=-5.0)
+def test_a_step_that_no_arm_makes_is_landed_without_its_axis(flying: Harness, axis: int, sign: int) -> None:
+    flying.glide(0, -5, 60)
+    flying.keep_flying(600, elevation_deg=-5.0)
     count_deg = 360 / 4096
     allowed = STEP_MAX_COUNTS[axis]
     for counts, state in ((allowed, State.CLOSED_LOOP), (allowed + 1, State.EMERGENCY_LANDING)):
-        harness.angles_deg[axis] += sign * counts * count_deg
-        harness.move(harness.angles_deg[0])
-        harness.tick(4)
-        assert harness.state is state
-        harness.keep_flying(100, elevation_deg=-5.0)
-    assert harness.last_event(Event.FAULT).detail == STEPS[axis]
+        flying.angles_deg[axis] += sign * counts * count_deg
+        flying.move(flying.angles_deg[0])
+        flying.tick(4)
+        assert flying.state is state
+        flying.keep_flying(100, elevation_deg=-5.0)
+    assert flying.last_event(Event.FAULT).detail == STEPS[axis]
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_after_a_step_nothing_is_armed_until_the_axis_is_zeroed(axis: int) -> None:
+def test_after_a_step_nothing_is_armed_until_the_axis_is_zeroed(harness: Harness, axis: int) -> None:
     """A plug that was loose before the flight: its reading is wrong by what it missed."""
-    harness = Harness()
     harness.angles_deg[axis] += 1.9 if axis != 1 else 4.0
     harness.move(harness.angles_deg[0])
     harness.tick(500)
@@ -429,8 +402,7 @@ def test_after_a_step_nothing_is_armed_until_the_axis_is_zeroed(axis: int) -> No
     assert harness.arm().result == Result.OK
 
 
-def test_a_new_sign_a_new_rest_and_a_new_zero_are_no_steps() -> None:
-    harness = Harness()
+def test_a_new_sign_a_new_rest_and_a_new_zero_are_no_steps(harness: Harness) -> None:
     harness.glide(2, 60, 100.0)
     harness.set("travel_counts_per_rev", -4096)
     harness.set("elevation_rest_deg", -20)
@@ -440,22 +412,22 @@ def test_a_new_sign_a_new_rest_and_a_new_zero_are_no_steps() -> None:
     assert harness.arm().result == Result.OK
 
 
-def test_a_second_lost_axis_is_left_out_of_the_same_landing_and_the_first_fault_is_its_reason() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.glide(0, -5, 60)
-    harness.keep_flying(600, elevation_deg=-5.0)
-    harness.move(travel_deg=3.0)
-    harness.tick(4)
-    harness.move(elevation_deg=0.0)
-    harness.tick(4)
-    assert [e.detail for e in harness.events if e.kind == Event.FAULT] == [
+def test_a_second_lost_axis_is_left_out_of_the_same_landing_and_the_first_fault_is_its_reason(
+    flying: Harness,
+) -> None:
+    flying.glide(0, -5, 60)
+    flying.keep_flying(600, elevation_deg=-5.0)
+    flying.move(travel_deg=3.0)
+    flying.tick(4)
+    flying.move(elevation_deg=0.0)
+    flying.tick(4)
+    assert [e.detail for e in flying.events if e.kind == Event.FAULT] == [
         Fault.TRAVEL_STEP,
         Fault.ELEVATION_STEP,
     ]
-    assert harness.state is State.EMERGENCY_LANDING
-    harness.tick(18_100)
-    assert harness.state is State.FAULT
+    assert flying.state is State.EMERGENCY_LANDING
+    flying.tick(18_100)
+    assert flying.state is State.FAULT
 
 
 def test_stop_works_from_every_state_that_has_motors() -> None:
@@ -494,8 +466,7 @@ def test_stop_works_from_every_state_that_has_motors() -> None:
     assert reached == set(State) - {State.IDLE, State.FAULT}
 
 
-def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself() -> None:
-    harness = Harness()
+def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself(harness: Harness) -> None:
     harness.arm()
     harness.ask(d.StreamMessage(0))
     for _ in range(100):
@@ -509,8 +480,7 @@ def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself(
     assert harness.state is State.HOLD
 
 
-def test_a_streamed_voltage_that_asks_for_hours_gets_the_parameter() -> None:
-    harness = Harness()
+def test_a_streamed_voltage_that_asks_for_hours_gets_the_parameter(harness: Harness) -> None:
     harness.arm()
     harness.ask(d.StreamMessage(0))
     harness.send(d.VoltagesMessage(1.0, 1.0, 60000))
@@ -520,8 +490,7 @@ def test_a_streamed_voltage_that_asks_for_hours_gets_the_parameter() -> None:
     assert harness.state is State.HOLD
 
 
-def test_open_loop_without_a_living_link_cuts_the_motors() -> None:
-    harness = Harness()
+def test_open_loop_without_a_living_link_cuts_the_motors(harness: Harness) -> None:
     harness.arm()
     harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
     harness.tick(480)
@@ -531,8 +500,7 @@ def test_open_loop_without_a_living_link_cuts_the_motors() -> None:
     assert harness.motors_off
 
 
-def test_armed_without_a_living_link_disarms() -> None:
-    harness = Harness()
+def test_armed_without_a_living_link_disarms(harness: Harness) -> None:
     harness.arm()
     harness.tick(1990)
     assert harness.state is State.ARMED
@@ -551,18 +519,17 @@ def test_armed_without_a_living_link_disarms() -> None:
         {"at_tick": 10**6},
     ],
 )
-def test_a_setpoint_outside_the_limits_is_refused_and_reported(setpoint: dict[str, float]) -> None:
-    harness = Harness()
-    harness.fly()
-    harness.setpoint(**setpoint)  # type: ignore[arg-type]
-    harness.tick(30)
-    assert harness.last_event(Event.SETPOINT_REJECTED).detail == Result.BAD_VALUE
-    harness.tick(480)
-    assert harness.state is State.HOLD, "a refused setpoint must not count as fresh"
+def test_a_setpoint_outside_the_limits_is_refused_and_reported(
+    flying: Harness, setpoint: dict[str, float]
+) -> None:
+    flying.setpoint(**setpoint)  # type: ignore[arg-type]
+    flying.tick(30)
+    assert flying.last_event(Event.SETPOINT_REJECTED).detail == Result.BAD_VALUE
+    flying.tick(480)
+    assert flying.state is State.HOLD, "a refused setpoint must not count as fresh"
 
 
-def test_a_host_that_streams_nonsense_gets_one_event_in_half_a_second() -> None:
-    harness = Harness()
+def test_a_host_that_streams_nonsense_gets_one_event_in_half_a_second(harness: Harness) -> None:
     for _ in range(100):
         harness.setpoint(elevation_deg=90)
         harness.tick(10)
@@ -570,8 +537,7 @@ def test_a_host_that_streams_nonsense_gets_one_event_in_half_a_second() -> None:
 
 
 @pytest.mark.parametrize("axes", [4, 5, 8, 255])
-def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(axes: int) -> None:
-    harness = Harness()
+def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(harness: Harness, axes: int) -> None:
     harness.arm()
     assert harness.close_loops(axes).result == Result.BAD_VALUE
     assert harness.state is State.ARMED
@@ -593,8 +559,9 @@ def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(axes: int) -> No
         (d.ExciteMessage(0, 5, 1, 1, 0, 5, 1, 0), 6),
     ],
 )
-def test_excitation_outside_its_bounds_is_refused_by_field(message: d.ExciteMessage, field: int) -> None:
-    harness = Harness()
+def test_excitation_outside_its_bounds_is_refused_by_field(
+    harness: Harness, message: d.ExciteMessage, field: int
+) -> None:
     harness.arm()
     harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
     reply = harness.ask(message)
@@ -603,8 +570,7 @@ def test_excitation_outside_its_bounds_is_refused_by_field(message: d.ExciteMess
     )
 
 
-def test_excitation_adds_to_the_voltages_and_ends_by_itself() -> None:
-    harness = Harness()
+def test_excitation_adds_to_the_voltages_and_ends_by_itself(harness: Harness) -> None:
     harness.arm()
     harness.ask(d.ControlMessage(0, 0, 3.0, 3.0))
     for _ in range(10):
@@ -619,42 +585,32 @@ def test_excitation_adds_to_the_voltages_and_ends_by_itself() -> None:
     assert harness.last_event(Event.EXCITATION_END).detail == d.Excitation.STEP
 
 
-def test_excitation_ends_when_the_board_must_hold() -> None:
-    harness = Harness()
-    harness.fly()
-    assert (
-        harness.ask(d.ExciteMessage(0, d.Excitation.MULTISINE, 0.2, 0.2, 0.1, 5, 60, 1)).result == Result.OK
-    )
+def test_excitation_ends_when_the_board_must_hold(flying: Harness) -> None:
+    assert flying.ask(d.ExciteMessage(0, d.Excitation.MULTISINE, 0.2, 0.2, 0.1, 5, 60, 1)).result == Result.OK
     for _ in range(6):  # a host that reads later loses events: the buffer of the line is full of telemetry
-        harness.tick(100)
-    assert harness.state is State.HOLD
-    assert harness.last_event(Event.EXCITATION_END).detail == d.Excitation.MULTISINE
+        flying.tick(100)
+    assert flying.state is State.HOLD
+    assert flying.last_event(Event.EXCITATION_END).detail == d.Excitation.MULTISINE
 
 
-def test_unsafe_parameters_are_refused_in_flight_and_gains_are_not() -> None:
-    harness = Harness()
-    harness.fly()
-    assert harness.set("supply_V", 11).result == Result.UNSAFE_NOW
-    assert harness.set("elevation_kp", 0.6).result == Result.OK
-    assert harness.set("elevation_kp", 21).result == Result.OUT_OF_RANGE
+def test_unsafe_parameters_are_refused_in_flight_and_gains_are_not(flying: Harness) -> None:
+    assert flying.set("supply_V", 11).result == Result.UNSAFE_NOW
+    assert flying.set("elevation_kp", 0.6).result == Result.OK
+    assert flying.set("elevation_kp", 21).result == Result.OUT_OF_RANGE
 
 
-def test_zero_and_save_are_refused_in_flight() -> None:
-    harness = Harness()
-    harness.fly()
+def test_zero_and_save_are_refused_in_flight(flying: Harness) -> None:
     for message in (d.ZeroMessage(0, 7), d.ParamsSaveMessage(0), d.ParamsDefaultMessage(0)):
-        assert harness.ask(message).result == Result.BAD_STATE
+        assert flying.ask(message).result == Result.BAD_STATE
 
 
-def test_gain_changes_act_in_the_next_tick() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.set("hover_V", 2.4)
-    harness.keep_flying(3000, elevation_deg=REST_DEG)
-    before = harness.motors
-    harness.set("hover_V", 3.4)
-    harness.keep_flying(3, elevation_deg=REST_DEG)
-    assert harness.motors[0] - before[0] == pytest.approx(0.5 / 12 * 2100, abs=3)
+def test_gain_changes_act_in_the_next_tick(flying: Harness) -> None:
+    flying.set("hover_V", 2.4)
+    flying.keep_flying(3000, elevation_deg=REST_DEG)
+    before = flying.motors
+    flying.set("hover_V", 3.4)
+    flying.keep_flying(3, elevation_deg=REST_DEG)
+    assert flying.motors[0] - before[0] == pytest.approx(0.5 / 12 * 2100, abs=3)
 
 
 def elevation_setpoints(harness: Harness) -> tuple[np.ndarray, np.ndarray]:
@@ -663,28 +619,24 @@ def elevation_setpoints(harness: Harness) -> tuple[np.ndarray, np.ndarray]:
     return ticks.tick, np.degrees(physical(ticks.raw, d.Channel.ELEVATION_SETPOINT))
 
 
-def test_a_smooth_path_is_followed_on_its_device_ticks() -> None:
-    harness = Harness()
-    harness.fly()
-    start = harness.ask(d.PingMessage(0, 0)).tick
+def test_a_smooth_path_is_followed_on_its_device_ticks(flying: Harness) -> None:
+    start = flying.ask(d.PingMessage(0, 0)).tick
 
     def path(tick: Any) -> Any:
         return REST_DEG + 3 * (1 - np.cos(2 * np.pi * (tick - start) / 4000))
 
     for k in range(0, 6000, 20):
-        harness.setpoint(elevation_deg=path(start + k + 40), at_tick=start + k + 40)
-        harness.tick(20)
-    tick, setpoint_deg = elevation_setpoints(harness)
+        flying.setpoint(elevation_deg=path(start + k + 40), at_tick=start + k + 40)
+        flying.tick(20)
+    tick, setpoint_deg = elevation_setpoints(flying)
     flown = (tick > start + 500) & (tick < start + 5900)
     # 20 ms pieces of this path lie within 0.0004 degrees of it; following its bends costs a little.
     assert np.abs(setpoint_deg - path(tick))[flown].max() < 0.1
 
 
-def test_a_step_becomes_a_ramp_within_slew_and_acceleration_that_does_not_overshoot() -> None:
-    harness = Harness()
-    harness.fly()
-    harness.keep_flying(4000, elevation_deg=0.0)
-    _, setpoint_deg = elevation_setpoints(harness)
+def test_a_step_becomes_a_ramp_within_slew_and_acceleration_that_does_not_overshoot(flying: Harness) -> None:
+    flying.keep_flying(4000, elevation_deg=0.0)
+    _, setpoint_deg = elevation_setpoints(flying)
     rate_deg_s = np.convolve(np.diff(setpoint_deg) * 1000, np.ones(20) / 20, "valid")  # over 20 ms
     acceleration_deg_s2 = (rate_deg_s[20:] - rate_deg_s[:-20]) / 0.02
     assert rate_deg_s.max() == pytest.approx(15, abs=0.1)
