@@ -11,13 +11,13 @@ from heli_host.declaration import State
 from tests.firmware.built import built_elf
 from tests.fly.fault_flights import Case, Outcome, flown
 from tests.fly.fault_table import CASES, ELSEWHERE, HEAD, row
-from tests.running.long import LONG, parallel_map
+from tests.running.long import LONG, select_cases
 
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 
 DOCUMENT = Path("docs/reference/failures.md")
 TESTS = Path(__file__).parent
-NATIVE = parallel_map([case for case in CASES if not case.due_only], every=3)
+NATIVE = select_cases([case for case in CASES if not case.due_only], every=3)
 # Flown on the emulated Due in `make test`: what only it has, and one of each kind of the others.
 KINDS = ("the travel encoder is out from the start", "the board loses its power", "SIGTERM")
 EMULATED = [case for case in CASES if case.due_only or LONG or case.what in KINDS]

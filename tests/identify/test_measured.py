@@ -19,7 +19,7 @@ from heli_lab.fit.identification import identify
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 
-from tests.running.long import parallel_map
+from tests.running.long import select_cases
 
 pytestmark = pytest.mark.slow
 
@@ -43,7 +43,7 @@ ABOVE_LUMPED = {
     ("rendellc_P4p2_noint_pf5", "rendellc_P2p1"),
     ("rendellc_P2p1", "rendellc_P4p2_noint_pf5"),
 }
-PAIRS = parallel_map(list(MAX_ERRORS_DEG), every=len(MAX_ERRORS_DEG), kind=ABOVE_LUMPED.__contains__)
+PAIRS = select_cases(list(MAX_ERRORS_DEG), every=len(MAX_ERRORS_DEG), kind=ABOVE_LUMPED.__contains__)
 """`make test` runs one pair with errors below those of the lumped model, and one pair above."""
 
 

@@ -24,7 +24,7 @@ from heli_sim.rig import Rig, load_rig
 
 from tests.model.flown import fly_and_identify
 from tests.model.toys import WIDE, rates_function
-from tests.running.long import parallel_map, samples
+from tests.running.long import samples, select_cases
 
 MODELS = (MultibodyModel, PaperModel)
 KINDS = catalogue()
@@ -89,7 +89,7 @@ def test_an_effect_does_nothing_at_its_neutral_values(model: type[Model], kind: 
 
 
 @pytest.mark.medium
-@pytest.mark.parametrize("kind", parallel_map(MULTIBODY, every=4))
+@pytest.mark.parametrize("kind", select_cases(MULTIBODY, every=4))
 def test_an_effect_of_typical_size_shows_in_five_seconds(kind: EffectSpec) -> None:
     effect = kind.make({**kind.typical, **{name: 1.0 for name in kind.neutral if name.endswith("at_s")}})
     differs_rad = np.abs(flown(MultibodyModel((effect,))) - flown_without()).max()

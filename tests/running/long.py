@@ -18,7 +18,7 @@ def samples(full: int, share: int) -> int:
     return full if LONG else share
 
 
-def parallel_map(cases: Sequence[T], every: int, kind: Callable[[T], object] = lambda _: None) -> list[T]:
+def select_cases(cases: Sequence[T], every: int, kind: Callable[[T], object] = lambda _: None) -> list[T]:
     """Return the cases of a matrix to run: all in ``make long``, otherwise a share of each kind."""
     if LONG:
         return list(cases)

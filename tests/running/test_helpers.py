@@ -10,7 +10,7 @@ import pytest
 from matplotlib import image
 
 from tests.running import long
-from tests.running.long import parallel_map, samples
+from tests.running.long import samples, select_cases
 from tests.running.pixels import coloured_share
 from tests.running.stalls import run
 
@@ -19,11 +19,11 @@ CASES = [f"{kind}{number}" for kind, count in (("a", 7), ("b", 1), ("c", 4)) for
 
 def test_a_share_has_at_least_one_case_of_each_kind(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(long, "LONG", False)
-    assert parallel_map(CASES, every=3, kind=lambda case: case[0]) == ["a0", "a3", "a6", "b0", "c0", "c3"]
-    assert parallel_map(CASES, every=5) == ["a0", "a5", "c2"]
+    assert select_cases(CASES, every=3, kind=lambda case: case[0]) == ["a0", "a3", "a6", "b0", "c0", "c3"]
+    assert select_cases(CASES, every=5) == ["a0", "a5", "c2"]
     assert samples(200, 8) == 8
     monkeypatch.setattr(long, "LONG", True)
-    assert parallel_map(CASES, every=3, kind=lambda case: case[0]) == CASES
+    assert select_cases(CASES, every=3, kind=lambda case: case[0]) == CASES
     assert samples(200, 8) == 200
 
 
