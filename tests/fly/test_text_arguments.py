@@ -122,12 +122,6 @@ def test_a_wrong_text_is_refused_and_nothing_flies(argument: str) -> None:
     assert states == {State.IDLE}
 
 
-def test_literals_are_in_the_table() -> None:
-    """The values of a Literal type are also checked when the program runs."""
-    hints = typing.get_type_hints(Heli.run_controller)
-    assert typing.get_args(hints["after"]) == ("hold", "land", "stop")
-
-
 def test_a_wrong_text_in_the_air_calls_no_law_and_the_arm_lands() -> None:
     with (
         pytest.raises(HeliError, match="'hold' or 'land' or 'stop'"),

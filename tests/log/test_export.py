@@ -1,8 +1,9 @@
-"""Exports hold the same numbers, figures are drawn, summaries say what the log says."""
+"""Exports read by other programs, and comparisons of flights."""
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +15,16 @@ from heli_host.data.log.figure import draw, write_figure
 from heli_host.data.log.reader import read_flight, read_log
 from heli_host.data.log.summary import summarise, tracking_errors_deg
 from heli_host.data.log.table import export_mat, export_parquet, write_csv
-from heli_host.data.response import flown_rows
-from heli_host.declaration import Axis, Channel, State
+from heli_host.data.response import count_rad, effort_V, flown_rows, of_its_law, responses, steps
+from heli_host.declaration import Axis, Channel, Flags, State
 from heli_host.errors import LogWriteError
 
+from tests.cli.terminal import Terminal, refusal, terminal
 from tests.log.made import make_samples, open_writer, write_made_log
+
+__all__ = [
+    "terminal",
+]
 
 
 @pytest.fixture
@@ -158,3 +164,192 @@ def test_a_figure_leaves_no_trace_in_pyplot(tmp_path: Path, flight: Flight) -> N
 def test_a_figure_of_an_unknown_kind_is_one_line(tmp_path: Path, flight: Flight) -> None:
     with pytest.raises(LogWriteError, match=r"\.png"):
         write_figure(flight, summarise(read_log(tmp_path / "a.mcap")), tmp_path / "a.docx")
+
+
+NATURAL_rad_s, DAMPING, STEP_deg, AT_s = 3.0, 0.4, 20.0, 5.0
+
+
+def second_order(state: bool = True, ramp_s: float = 0.0) -> Flight:
+    """Travel steps as a linear oscillator does, whose metrics every textbook has; elevation stays."""
+    t_s = np.arange(0.0, 20.0, 0.002)
+    since = np.maximum(t_s - AT_s, 0.0)
+    decay, fast = DAMPING * NATURAL_rad_s, NATURAL_rad_s * math.sqrt(1.0 - DAMPING**2)
+    share = 1.0 - np.exp(-decay * since) * (np.cos(fast * since) + decay / fast * np.sin(fast * since))
+    wanted = np.clip(since / ramp_s, 0.0, 1.0) if ramp_s else (t_s >= AT_s).astype(float)
+    zero = np.zeros_like(t_s)
+    return Flight(
+        t_s,
+        zero + 1.5,
+        zero + 2.5,
+        zero + 0.01,
+        zero,
+        np.deg2rad(STEP_deg) * share,
+        elevation_setpoint_rad=zero,
+        pitch_setpoint_rad=zero,
+        travel_setpoint_rad=np.deg2rad(STEP_deg) * wanted,
+        state=np.full(len(t_s), 4, np.uint8) if state else None,
+        state_names={4: "closed_loop", 0: "idle"},
+    )
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("ramp_s", [0.0, 0.4])
+def test_metrics_of_a_step_are_those_of_the_textbook(ramp_s: float) -> None:
+    elevation, pitch, travel = responses(second_order(ramp_s=ramp_s))
+    overshoot = 100.0 * math.exp(-math.pi * DAMPING / math.sqrt(1.0 - DAMPING**2))
+    assert travel.step_s == pytest.approx(AT_s, abs=0.005)
+    assert travel.step_deg == pytest.approx(STEP_deg)
+    assert travel.overshoot_percent == pytest.approx(overshoot, abs=0.1)
+    # A second-order system with this damping rises from 10 to 90 % in 1.463 / w, by its closed form.
+    share = np.rad2deg(second_order().travel_rad) / STEP_deg
+    t_s = second_order().t_s
+    rise_s = t_s[np.argmax(share > 0.9)] - t_s[np.argmax(share > 0.1)]
+    assert travel.rise_s == pytest.approx(rise_s, abs=0.005)
+    outside = np.flatnonzero(np.abs(share[t_s >= AT_s] - 1.0) > 0.05)
+    assert travel.settling_s == pytest.approx(t_s[outside[-1]], abs=0.01)
+    assert elevation.rms_deg == pytest.approx(math.degrees(0.01))
+    assert math.isnan(elevation.rise_s)
+    assert pitch.rms_deg == 0.0
+
+
+@pytest.mark.medium
+def test_effort_is_the_rms_of_what_control_adds_to_the_mean_voltage() -> None:
+    steady = second_order()
+    assert effort_V(steady) == pytest.approx(0.0, abs=1e-9)
+    swing_V = 0.3 * np.sin(2.0 * np.pi * steady.t_s)
+    flight = replace(steady, front_V=steady.front_V + swing_V, back_V=steady.back_V - swing_V)
+    assert effort_V(flight) == pytest.approx(0.3 / math.sqrt(2.0), rel=1e-3)
+    assert flight.state is not None
+    flight.state[:] = 0
+    assert math.isnan(effort_V(flight))
+    assert all(math.isnan(response.rms_deg) for response in responses(flight))
+
+
+def counted(flight: Flight, counts: float, *, logged: bool) -> Flight:
+    """The flight as an encoder of travel shows it, with or without the board's parameter."""
+    count_rad = 2.0 * np.pi / counts
+    return replace(
+        flight,
+        travel_rad=np.round(flight.travel_rad / count_rad) * count_rad,
+        parameters={"travel_counts_per_rev": -counts} if logged else {},
+    )
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("logged", [True, False])
+@pytest.mark.parametrize("size", [1.0, 1.5])
+def test_a_coarse_encoder_settles_when_a_fine_one_does(size: float, logged: bool) -> None:
+    flight = second_order()
+    travel_rad = size * flight.travel_rad
+    flight = replace(
+        flight, travel_rad=travel_rad, travel_setpoint_rad=np.deg2rad(size * STEP_deg) * (flight.t_s >= AT_s)
+    )
+    true, fine, coarse = (
+        responses(each)[2]
+        for each in (flight, counted(flight, 4096.0, logged=logged), counted(flight, 1024.0, logged=logged))
+    )
+    # Two samples of 2 ms.
+    assert fine.settling_s == pytest.approx(true.settling_s, abs=0.0041)
+    assert coarse.settling_s == pytest.approx(fine.settling_s, abs=0.0041)
+
+
+@pytest.mark.medium
+def test_a_count_is_measured_per_axis_where_no_log_states_it() -> None:
+    flight = counted(second_order(), 1000.0, logged=False)
+    count_deg = np.rad2deg(count_rad(flight))
+    assert count_deg[2] == pytest.approx(0.36)
+    # Pitch does not move. The angles of a flight without encoders are not whole counts.
+    assert np.isnan(count_deg[1]) and np.isnan(count_rad(second_order())[2])
+
+
+@pytest.mark.medium
+def test_a_small_step_settles_within_a_count_of_the_encoder() -> None:
+    small = replace(
+        second_order(),
+        travel_rad=second_order().travel_rad / 15.0 + np.deg2rad(0.08),
+        travel_setpoint_rad=np.deg2rad(STEP_deg / 15.0) * (second_order().t_s >= AT_s),
+    )
+    small = counted(small, 4096.0, logged=True)
+    (_, _, travel) = responses(small)
+    assert travel.step_deg == pytest.approx(STEP_deg / 15.0)
+    # 0.08 degrees stay: more than 5 % of the step, less than a count.
+    assert not math.isnan(travel.settling_s)
+
+
+@pytest.mark.medium
+def test_a_sine_has_no_steps_at_any_rate_of_samples() -> None:
+    for step_s in (0.001, 0.01):
+        t_s = np.arange(0.0, 40.0, step_s)
+        zero = np.zeros_like(t_s)
+        sine = np.deg2rad(4.0) * np.sin(2.0 * np.pi * t_s / 15.0)
+        flight = Flight(
+            t_s, zero, zero, sine, zero, sine,
+            elevation_setpoint_rad=sine, pitch_setpoint_rad=zero, travel_setpoint_rad=5.0 * sine,
+        )  # fmt: skip
+        assert not steps(flight, "elevation") and not steps(flight, "travel")
+
+
+@pytest.mark.medium
+def test_all_steps_are_found_and_the_largest_is_reported() -> None:
+    t_s = np.arange(0.0, 30.0, 0.001)
+    zero = np.zeros_like(t_s)
+    wanted = np.deg2rad(np.select([t_s < 5.0, t_s < 15.0], [0.0, 6.0], -4.0))
+    flight = Flight(t_s, zero, zero, zero, zero, wanted, zero, zero, wanted)
+    assert [(step.start_s, round(step.size_deg, 6)) for step in steps(flight, "travel")] == [
+        (pytest.approx(5.0), 6.0),
+        (pytest.approx(15.0), -10.0),
+    ]
+    assert responses(flight)[2].step_deg == pytest.approx(-10.0)
+
+
+@pytest.mark.medium
+def test_an_axis_that_a_law_does_not_lead_has_no_error() -> None:
+    flight = second_order()
+    assert flight.state is not None
+    law = np.where(flight.t_s > 10.0, Flags.LAW, 0).astype(np.uint8)
+    flight_of_law = replace(flight, flags=law, pitch_rad=flight.pitch_rad + 0.1)
+    commanded = np.where(law > 0, flight_of_law.pitch_rad, 0.0)
+    all_responses = responses(replace(flight_of_law, pitch_setpoint_rad=commanded))
+    # Over the rows in which the board led it alone: no merit for the law.
+    assert all_responses[1].rms_deg == pytest.approx(math.degrees(0.1))
+    rows_of_law = of_its_law(replace(flight_of_law, pitch_setpoint_rad=commanded))
+    assert rows_of_law.t_s[0] > 10.0
+    assert math.isnan(responses(rows_of_law)[1].rms_deg)
+    assert responses(rows_of_law)[0].rms_deg == pytest.approx(math.degrees(0.01))
+
+
+@pytest.mark.medium
+def test_step_that_does_not_settle_has_no_settling_time() -> None:
+    (_, _, travel) = responses(second_order().between(0.0, AT_s + 1.2))
+    assert math.isnan(travel.settling_s)
+    assert travel.overshoot_percent > 0.0
+
+
+@pytest.mark.medium
+def test_flights_are_laid_over_each_other_with_their_metrics(terminal: Terminal) -> None:
+    for name in ("a", "b"):
+        write_csv(second_order(state=False), f"{name}.csv")
+    result = terminal("plot", "a.csv", "b.csv", "--figure", "both.png")
+    assert result.code == 0, result
+    assert Path("both.png").read_bytes().startswith(b"\x89PNG")
+    head, *rows = result.out.splitlines()
+    assert head.split()[:2] == ["flight", "axis"]
+    assert [row.split()[0] for row in rows if row[0] != " "] == ["a.csv", "b.csv", "files:"]
+    numbers = json.loads(terminal("plot", "a.csv", "b.csv", "--json", "-").out)
+    assert numbers["figure"] is None
+    assert numbers["flights"][0]["axis"]["travel"]["step_deg"] == pytest.approx(STEP_deg, rel=1e-3)
+    assert numbers["flights"][0]["axis"]["elevation"]["rise_s"] is None
+
+
+@pytest.mark.medium
+def test_too_many_and_the_same_twice_are_refused(terminal: Terminal) -> None:
+    write_csv(second_order(), "a.csv")
+    assert "twice" in refusal(terminal("plot", "a.csv", "a.csv"), code=2)
+    assert "are too many for one figure" in refusal(terminal("plot", *(f"{i}.csv" for i in range(9))), code=2)
+
+
+@pytest.mark.medium
+def test_figure_in_no_format_that_can_be_drawn_is_one_line(terminal: Terminal) -> None:
+    write_csv(second_order(), "a.csv")
+    write_csv(second_order(), "b.csv")
+    assert "both.txt" in refusal(terminal("plot", "a.csv", "b.csv", "--figure", "both.txt"), code=2)

@@ -183,7 +183,7 @@ SMALL: Final = {
     "quick": Small((f"TESTS={FEW_TESTS}",), r"\d+ passed"),
     "long": Small((f"TESTS={FEW_TESTS}",), r"\d+ passed"),
     "bench": Small(("PARTS=line",), r"bytes"),
-    "mutants": Small(("FILES=link/parser.cpp", "TESTS=tests/link/test_core_parser", "COUNT=1"), r"1/1 "),
+    "mutants": Small(("FILES=link/parser.cpp", "TESTS=tests/link/test_core_link", "COUNT=1"), r"1/1 "),
     # Its status also judges the machine: one that is busy loses samples.
     "soak": Small(("MINUTES=0.03",), r"^\| statuses \| [1-9]", statuses=(0, 2)),
     "attack": Small(("KINDS=logs", "COUNT=1"), r"damaged logs \| 20 \| 0 "),
