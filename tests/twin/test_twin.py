@@ -143,26 +143,23 @@ excite = { signal = "multisine", front_V = 0.3, back_V = 0.3, start_Hz = 0.1, st
 
 
 def fly_with_scale(folder: Path, encoder_scale: str) -> Path:
-    """Fly `EXCITED_PLAN` with a twin and a scale such as ``travel:0.5``; return the log."""
+    """Fly `EXCITED_PLAN` with a scale such as ``travel:0.5``; return the log."""
     plan, log = folder / "short.toml", folder / "flight.mcap"
     plan.write_text(EXCITED_PLAN)
     port = f"sil://?encoder_scale={encoder_scale}"
-    run(["fly", str(plan), "--log", str(log), "--twin", "makki2024", "--port", port])
+    run(["fly", str(plan), "--log", str(log), "--port", port])
     return log
 
 
 @pytest.mark.slow
-def test_half_the_counts_of_travel_are_named_in_flight(tmp_path: Path) -> None:
+def test_half_the_counts_of_travel_are_named(tmp_path: Path) -> None:
     log = fly_with_scale(tmp_path, "travel:0.5")
-    messages = [str(event["message"]) for event in read_log(log).events if event["name"] == "twin"]
     (alarm,) = monitor_file(open_rig("makki2024"), log, FALSE_ALARM_INTERVAL_h).alarms
     most_likely = alarm.ranking[0]
     assert most_likely.change.id == "encoder_scale.travel"
     # The estimate of so large a change is approximate, because the twin is linearised.
     assert -1.0 < most_likely.size < -0.25
-    assert any(
-        "the travel encoder counts" in message and "fewer than its counts" in message for message in messages
-    )
+    assert "the travel encoder counts" in alarm.text and "fewer than its counts" in alarm.text
 
 
 RIGS = samples(20, 1)
@@ -192,7 +189,7 @@ def test_false_alarms_are_as_rare_as_stated_and_changes_get_their_names() -> Non
     false_alarms, chances, changed = 0, [], []
     for seed in range(1, RIGS + 1):
         rig = rig_for_test(seed)
-        healthy = fly_healthy(rig, HEALTHY_FLIGHTS)["healthy"]
+        healthy = fly_healthy(rig, HEALTHY_FLIGHTS, samples(60, 45))["healthy"]
         false_alarms += sum(flight["alarms"] > 0 for flight in healthy)
         chances += [1.0 - math.exp(-flight["free_s"] / 3600.0 / FALSE_ALARM_INTERVAL_h) for flight in healthy]
         for number, (name, size) in enumerate(CHANGES[: samples(3, 1)]):
