@@ -1,7 +1,4 @@
-"""Croissant metadata of a split: programs that know the format load its flights without further code.
-
-The vocabulary is that of Croissant 1.0, https://docs.mlcommons.org/croissant/docs/croissant-spec.html.
-"""
+"""Data card of a split, for people and, as Croissant metadata, for programs."""
 
 from __future__ import annotations
 

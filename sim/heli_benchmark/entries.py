@@ -1,4 +1,4 @@
-"""A method by its name: one of this package, or a function in a file."""
+"""Runs of methods on a split: a method by its name, the process of each case, and cases on a cluster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flights of the flight code on the MuJoCo rig, as logs."""
+"""Flights of the MuJoCo rig, as logs: by the flight code, and by three other controllers."""
 
 from __future__ import annotations
 

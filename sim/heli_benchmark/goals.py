@@ -1,4 +1,4 @@
-"""Calibration: whether the confidence of a cause is the frequency with which it is right."""
+"""Results over all cases: calibration, goals with a required share, and a summary as text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The rig as a MuJoCo model: the same masses at the same places, as bodies and joints."""
+"""The rig in MuJoCo: bodies and joints, a plant that the flight code flies, and the true trajectory.
+
+Effects are hidden in this plant. It does not use the equations of the project.
+"""
 
 from __future__ import annotations
 

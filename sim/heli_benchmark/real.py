@@ -1,4 +1,4 @@
-"""Hide a known effect in a logged flight: change the log as if the rig had had the effect.
+"""Known effects, hidden in logs of real flights, and the judgement of a diagnosis of such a flight.
 
 A voltage of `V` that is logged as `V / (1 + a)` makes the rotor push as much as `1 + a` times the logged
 voltage would give. Angles get an error between axis and encoder, and are quantised again.

@@ -1,4 +1,4 @@
-"""Prediction of validation flights by the model of an answer, compared with that of the true model.
+"""Scores of the answers of one run, case by case, with predictions of the validation flights.
 
 The model of an answer has its rig parameters, and the causes that it names, with their sizes. It starts each
 half second at the measured angles, and predicts the angles one second later from the voltages alone. If an

@@ -1,4 +1,4 @@
-"""Hidden effects in the parameters of the catalogue, under the names that a diagnosis uses."""
+"""The truth of a case: hidden effects in the parameters of the catalogue, and a fit with the true causes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects do what their one sentence says, and nothing at their neutral values."""
+"""Effects do what their sentence says, and nothing at their neutral values, alone and together."""
 
 from __future__ import annotations
 

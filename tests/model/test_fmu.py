@@ -1,4 +1,4 @@
-"""A flight of an FMU as an importer makes it, by co-simulation or by model exchange, and the plant's own."""
+"""FMUs: FMPy, an importer that knows nothing of ours, validates, drives and compiles them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's model gives the numbers that follow from its Table 2, and effects act where they say."""
+"""Models against the paper's numbers, MuJoCo, and finite differences of their symbols."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The compiled millisecond against closed forms, energy, an independent integrator, and its own limits."""
+"""The compiled millisecond against closed forms, energy and another integrator; the cache of libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rig file is complete, in the right units, and names its sources; anything else is refused."""
+"""A rig file is complete, in the right units, and names its sources; encoders of a rig."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A host that speaks to a simulated board in frames, on simulated time."""
+"""Hosts for a simulated board: in frames on simulated time, over a port, and with patience."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ELF on the emulated Due flies like the flight code on this machine, and a world is good for either."""
+"""The two boards: the same flights, the same rig parameters, and what only the emulated Due shows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of the link are repeatable, counted, and what their plan says."""
+"""Faults of link and rig are repeatable, counted, and as planned; flights in which something fails."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated port may be opened, closed, opened again, pulled out and left unread, as a real one."""
+"""A simulated port is opened, closed, pulled out and left unread as a real one; control lines and TCP."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated board behaves like a board: power stage, reset, flash, stop input, locked axes."""
+"""The simulated board behaves like a board; clocks, transport in process, and in a process of its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The converters: codes, times by the converter's clock, flags, the PDC (sections 43 and 44)."""
+"""The converters and the random number generator (sections 43, 44 and 42)."""
 
 from __future__ import annotations
 

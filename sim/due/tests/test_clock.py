@@ -1,4 +1,4 @@
-"""Oscillators, PLLA and the master clock (datasheet, section 28)."""
+"""Oscillators, PLLA, master clock, watchdog and resets (datasheet, sections 14 to 17 and 28)."""
 
 from __future__ import annotations
 

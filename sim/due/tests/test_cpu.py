@@ -1,4 +1,4 @@
-"""The interpreter and unicorn agree after every instruction, on random code and on compiled programs."""
+"""The interpreter against unicorn after every instruction, and exceptions against the architecture manual."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Names, offsets, access and reset values against the vendor's description of the chip."""
+"""Registers against the vendor's description, and programs in plain C as on a desk."""
 
 from __future__ import annotations
 

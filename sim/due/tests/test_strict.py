@@ -1,4 +1,4 @@
-"""Strict mode says what, where and who; lenient mode warns once and goes on."""
+"""Strict mode says what, where and who; lenient mode warns once, and ends a program that waits in vain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Timer counters: periods, compares, outputs and capture, by the datasheet's formulas (section 36)."""
+"""Timer counters and the quadrature decoder, by the datasheet's formulas (section 36)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""UART0: bit timing from the divider, DMA both ways, and what goes wrong (sections 34 and 26)."""
+"""UART0, the bridge to USB, and the clock of the USB port (sections 26, 34 and 28)."""
 
 from __future__ import annotations
 

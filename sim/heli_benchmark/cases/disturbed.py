@@ -1,4 +1,4 @@
-"""A case with disturbances: a rig within its tolerances, and two flights by other controllers."""
+"""Cases with disturbances: rigs within their tolerances, three controllers, up to four causes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Disturbances: random torques about all three axes, as on each real rig: gusts and a slow drift."""
+"""Disturbances: random torques about all axes, and five kinds that are not torques of constant strength."""
 
 from __future__ import annotations
 

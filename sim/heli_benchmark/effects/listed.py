@@ -1,4 +1,4 @@
-"""Listed effects: those of the catalogue, implemented in MuJoCo without the equations of the catalogue."""
+"""Effects of the catalogue, implemented in MuJoCo without the equations of the catalogue."""
 
 from __future__ import annotations
 

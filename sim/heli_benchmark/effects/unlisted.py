@@ -1,4 +1,4 @@
-"""Effects that the catalogue does not list: the right verdict is `unexplained`."""
+"""Effects and equations that the catalogue does not list: the right verdict is `unexplained`."""
 
 from __future__ import annotations
 

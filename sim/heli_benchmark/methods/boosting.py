@@ -1,7 +1,4 @@
-"""How much evidence a regression has for each cause: features for a classifier, and targets to train it.
-
-A target is the whitened residual of a flight, measured or simulated with the terms of the regression.
-"""
+"""Gradient boosting (scikit-learn), trained on residuals that are simulated with the terms of other cases."""
 
 from __future__ import annotations
 

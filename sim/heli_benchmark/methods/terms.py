@@ -1,4 +1,4 @@
-"""Smoothed flights, and the accelerations of a model along them."""
+"""What methods that regress accelerations share: smoothed flights, candidate terms, torques of an answer."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""One case from its flights to its row, and the commands for unlisted equations and removed effects."""
+"""One case from its flights to its row, and one module for each question about the diagnosis."""

@@ -1,4 +1,4 @@
-"""Small effects, or none, in flights without disturbances, at several rates.
+"""`python -m heli_benchmark.runs.calm [SEED...]`: which small effects are named without disturbances.
 
 Without disturbances a flight shows effects far below an encoder count, and the numerical errors of the method
 are as large. Seeds 7000 to 7029 are for development; 7100 to 7129 judge.

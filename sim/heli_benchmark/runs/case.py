@@ -1,4 +1,4 @@
-"""Run the diagnosis of the laboratory on two flights."""
+"""One case from its flights to its row, with files that let an interrupted run continue."""
 
 from __future__ import annotations
 

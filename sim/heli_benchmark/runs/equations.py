@@ -1,4 +1,4 @@
-"""Cases of unlisted equations: each of `equations.py` in two sizes, disturbed, half with a rotor lag."""
+"""`python -m heli_benchmark.runs.equations`: count how many unlisted equations a diagnosis discovers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Five kinds of noise, with nothing hidden or with one or two causes.
+"""`python -m heli_benchmark.runs.noise [SEED...]`: verdicts under five kinds of noise.
 
 Seeds 8000 to 8099 are for development; 8100 to 8199 judge. Twenty consecutive seeds have each kind twice with
 nothing hidden, once with one cause and once with two.

@@ -1,7 +1,8 @@
-"""Play between an axis and its encoder: three axes, three sizes, three strengths of disturbances.
+"""`python -m heli_benchmark.runs.play [SEED...]`: names and sizes of plays.
 
-Seeds 9000 to 9099 are for development; 9100 to 9199 judge. Nine consecutive seeds, the first a multiple of
-nine, have each axis with each size once, and each strength three times.
+Three axes, three sizes, three strengths of disturbances. Seeds 9000 to 9099 are for development; 9100 to 9199
+judge. Nine consecutive seeds, the first a multiple of nine, have each axis with each size once, and each
+strength three times.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Cases of effects that are removed from the catalogue, with disturbances, half of them with a rotor lag."""
+"""`python -m heli_benchmark.runs.removed_effects`: does a discovered equation replace a removed effect?"""
 
 from __future__ import annotations
 

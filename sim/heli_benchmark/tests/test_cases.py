@@ -1,4 +1,4 @@
-"""The blind cases hide what they say, all of the catalogue, in flights that can be flown."""
+"""The cases hide what they say, all of the catalogue, in flights that can be flown."""
 
 from __future__ import annotations
 

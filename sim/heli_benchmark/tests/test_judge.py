@@ -1,4 +1,4 @@
-"""Rules for right answers and misses."""
+"""Rules for right answers and misses, and calibration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An answer of the published benchmark is checked, and a mistake is one line."""
+"""The published benchmark: its format, its draws, its sealed splits, and a whole split from draw to table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Visibility is in standard deviations of the disturbances, and proportional to the size of the cause."""
+"""Disturbances, and the visibility of a cause in standard deviations of the disturbances."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thrust against voltage from a scale under each rotor, and the straight line through the readings."""
+"""Rig parameters from weighings, balances, swings and readings of thrust."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""The user's cache of compiled functions. It accepts only complete files that this user wrote.
+"""CasADi functions compiled to shared libraries, which are kept in the user's cache.
 
-Each library ends with a digest of its bytes, which loaders ignore. After a power cut, a file may be too short
-or full of zeros. Its digest then does not match, and it is not loaded, because that could crash the process.
+The cache accepts only complete files that this user wrote. Each library ends with a digest of its bytes,
+which loaders ignore. After a power cut, a file may be too short or full of zeros. Its digest then does not match,
+and it is not loaded, because that could crash the process.
 """
 
 from __future__ import annotations

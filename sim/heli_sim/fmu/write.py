@@ -1,4 +1,4 @@
-"""Write the equations of a plant as the C functions that an FMU (a model for co-simulation) calls."""
+"""An FMU of a plant: its equations as C, sources, and the binary for this machine, in one zip file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Equations that all models of the rig share."""
+"""The base class of effects, and equations that all models of the rig share."""
 
 from __future__ import annotations
 

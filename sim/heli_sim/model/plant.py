@@ -1,4 +1,4 @@
-"""One Runge-Kutta step of fourth order, for numbers and for symbols."""
+"""The plant: a model of the rig with its mechanical limits, simulated by one millisecond per step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes a rig from what its builder states; the other parameters come from another rig."""
+"""A rig from what its builder states, and the comparison of two rigs."""
 
 from __future__ import annotations
 

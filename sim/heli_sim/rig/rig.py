@@ -1,4 +1,4 @@
-"""The Rig class and its TOML reader."""
+"""The Rig class, its encoders, and its TOML files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A named number with a unit, as models and rigs declare them."""
+"""What a rig file contains: quantities with units, inertias that follow, and limits of plausible values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Intervals of simulated time in which a fault acts."""
+"""Faults of the link and of the rig, and the intervals of simulated time in which they act."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of a simulated board, and their form in a `sil://` address."""
+"""Options of a simulated board, their form in a `sil://` address, and the plant that they describe."""
 
 from __future__ import annotations
 

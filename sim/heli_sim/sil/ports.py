@@ -1,4 +1,8 @@
-"""The interface that pseudo-terminal, TCP and RFC 2217 ports share, for the server."""
+"""Ports of a simulated board that hosts reach over TCP: plain, and with control lines (RFC 2217).
+
+pyserial's `serial.rfc2217.PortManager` implements that protocol; this module gives it a serial port and a
+connection. DTR is low until the host raises it, and falls when the host disconnects.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""The symbolic link to a pseudo-terminal, by which hosts find it. One server at a time owns its path."""
+"""A pseudo-terminal as a serial port, with a symbolic link as its permanent name.
+
+One server at a time owns the path of the link.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Clocks decide how much simulated time may pass: in real time, or as fast as the host keeps up.
-
-Callers pass in the present time, so that a test can run without waiting.
-"""
+"""Serves a simulated board on ports. Clocks decide how much simulated time may pass."""
 
 from __future__ import annotations
 

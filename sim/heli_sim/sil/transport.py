@@ -1,4 +1,4 @@
-"""A simulated board in a separate process, which hosts reach through a port as they reach hardware."""
+"""The transport ``sil://``: a simulated board in this process, or in a separate one behind a port."""
 
 from __future__ import annotations
 

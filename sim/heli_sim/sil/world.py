@@ -1,9 +1,4 @@
-"""Emulates the operator who supports the arm on its table until take-off.
-
-The real arm rests on its table. With the nominal masses in Table 2 of the paper, the arm would balance 2.9
-degrees above the table; an error of 0.07 N m, well within their tolerances, makes the difference. Without
-support the simulated arm would drift up, and the board would refuse to arm.
-"""
+"""The simulated world: board, plant, line, faults, and the operator who supports the arm until take-off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Effects that extend a model, one file each, and the catalogue of all effects."""
+"""Effects that extend a model, in files by subject, and the catalogue of all effects."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A rotor that moves along its own axis meets its air faster, and gives less thrust."""
+"""Effects of the air: inflow and edgewise flow of the rotors, ground effect, and drag of the arms."""
 
 from __future__ import annotations
 

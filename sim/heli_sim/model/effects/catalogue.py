@@ -1,6 +1,7 @@
-"""The catalogue of effects: all effects that modules of this folder define, and those of users' files.
+"""The catalogue of effects, and effects as texts: on command lines and in rig files.
 
-A new module in this folder needs no registration.
+The catalogue has all effects that modules of this folder define, and those of users' files. A new module in
+this folder needs no registration.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Play between an axis and its encoder, for example because of a worn coupling or a gear."""
+"""Effects between an axis and its reading: play, an eccentric disk, and a shifted zero."""
 
 from __future__ import annotations
 

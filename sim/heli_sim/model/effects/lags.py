@@ -1,4 +1,4 @@
-"""Thrust lags the voltage, because motor and propeller must change their speed first."""
+"""Effects that delay the thrust: lags of thrust or rotor speed, and dead time."""
 
 from __future__ import annotations
 

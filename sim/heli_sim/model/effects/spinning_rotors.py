@@ -1,4 +1,4 @@
-"""Reaction torque of the rotors: the air that a rotor turns one way turns the rig the other way."""
+"""Effects of the spinning rotors on the rig: reaction torque and angular momentum."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thrust grows with the square of the speed, so its curve over the voltage is bent."""
+"""Effects on the voltage and on the size of the thrust: curve, asymmetry, fades, steps, and the supply."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dry friction of an axis: its size does not depend on the speed, and it can hold the axis at rest."""
+"""Effects that are torques about the axes: dry friction, springs, tilt, a moved weight, disturbances."""
 
 from __future__ import annotations
 
