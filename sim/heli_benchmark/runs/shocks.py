@@ -1,7 +1,7 @@
 """`python -m heli_benchmark.runs.shocks [SEED...]`: how many slips of the counterweight are named.
 
-In one or both flights of a case, the counterweight slips at some moment. Each seed gives twelve cases: slips of
-10 and 30 mm, with and without disturbances, in three layouts of the flights. Seeds 5000 to 5099 are for
+In one or both flights of a case, the counterweight slips at some moment. Each seed gives twelve cases: slips
+of 10 and 30 mm, with and without disturbances, in three layouts of the flights. Seeds 5000 to 5099 are for
 development; 6000 to 6099 judge.
 """
 

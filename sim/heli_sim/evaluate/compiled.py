@@ -1,8 +1,8 @@
 """CasADi functions compiled to shared libraries, which are kept in the user's cache.
 
 The cache accepts only complete files that this user wrote. Each library ends with a digest of its bytes,
-which loaders ignore. After a power cut, a file may be too short or full of zeros. Its digest then does not match,
-and it is not loaded, because that could crash the process.
+which loaders ignore. After a power cut, a file may be too short or full of zeros. Its digest then does not
+match, and it is not loaded, because that could crash the process.
 """
 
 from __future__ import annotations
