@@ -122,7 +122,7 @@ def test_the_host_names_no_package_above_it() -> None:
 @pytest.mark.slow
 def test_the_emulator_s_tests_import_nothing_of_the_project() -> None:
     sources = sorted((ROOT / "sim" / "due" / "tests").rglob("*.py"))
-    assert len(sources) > 20
+    assert len(sources) > 10
     assert not [
         path.name for path in sources if re.search(r"^\s*(from|import) heli_", path.read_text(), re.M)
     ]
@@ -211,7 +211,7 @@ def wrong_imports(root: Path) -> list[str]:
             mistakes += [
                 f"{path.relative_to(root).as_posix()} imports {full}"
                 for full in imported(path)
-                if full.split(".")[0] == "tests"
+                if full.split(".")[0] == "tests" and "tests" not in path.relative_to(root).parts
             ]
     return mistakes
 

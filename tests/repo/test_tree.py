@@ -183,7 +183,7 @@ def meaningless(source: str) -> list[tuple[int, str]]:
 @pytest.mark.slow
 def test_no_name_in_python_is_a_word_without_meaning() -> None:
     files = [path for path in tracked() if path.suffix == ".py"]
-    assert len(files) > 1000
+    assert len(files) > 500
     places = [
         f"{path.relative_to(ROOT)}:{line}: {name}"
         for path in files
@@ -236,6 +236,8 @@ def ambiguous(folder: Path) -> dict[str, set[str]]:
     """Public names that more than one module defines; modules of verbs are named as their commands."""
     where = defaultdict(set)
     for path in folder.rglob("*.py"):
+        if "tests" in path.relative_to(folder).parts:
+            continue
         if "verbs" not in path.parts:
             for name in public_names_of(path):
                 if not name.startswith("_"):
