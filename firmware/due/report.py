@@ -243,11 +243,6 @@ def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[int, str, str]]]]
     yield name, body
 
 
-def read_symbols(elf: Path, cross: str = "arm-none-eabi-") -> dict[str, int]:
-    """Read where a linked firmware has its symbols."""
-    return {name: address for name, _, address, _ in _symbols(elf, cross)}
-
-
 def _symbols(elf: Path, cross: str) -> Iterable[tuple[str, str, int, int]]:
     """Yield each symbol's name, kind, address and length in bytes; 0 where nm gives no length."""
     for line in _run(cross, "nm", "-S", elf).splitlines():

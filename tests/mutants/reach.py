@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from tests.mutants.generate import ROOT, BuildError, Mutant, tokens_of
@@ -22,8 +21,6 @@ from tests.mutants.generate import ROOT, BuildError, Mutant, tokens_of
 MAX_COST_S: Final = 3.0
 """CPU time above which a test is left out: such a test fits, or starts programs without the mutant."""
 _MAX_NAMES: Final = 4
-
-Hits = npt.NDArray[np.bool_]
 
 
 @dataclass
