@@ -11,6 +11,8 @@ from firmware.due.report import Image, read_image
 from tests.firmware.built import built_elf
 
 if TYPE_CHECKING:
+    from heli_host.board.heli import Heli
+
     from tests.firmware.desk import Board
 
 
@@ -32,3 +34,9 @@ def board(elf: Path, image: Image) -> Board:
     from tests.firmware.desk import Board
 
     return Board(elf, image)
+
+
+@pytest.fixture
+def heli(board: Board) -> Heli:
+    """A host that is connected to it."""
+    return board.connect()

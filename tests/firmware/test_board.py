@@ -105,8 +105,7 @@ def test_the_serial_line_is_8n1_at_exactly_250_kbaud(board: Board) -> None:
     assert board.due.mck_Hz / (16 * board.register(UART_BRGR)) == 250_000
 
 
-def test_encoders_count_alike_and_a_before_b_is_up(board: Board) -> None:
-    heli = board.connect()
+def test_encoders_count_alike_and_a_before_b_is_up(board: Board, heli: Heli) -> None:
     heli.wait(0.05)
     before = counted(heli)
     start_us = board.due.now_us
@@ -119,8 +118,7 @@ def test_encoders_count_alike_and_a_before_b_is_up(board: Board) -> None:
     assert list(counted(heli) - before) == [500, -400, 300]
 
 
-def test_no_travel_edge_is_lost_at_200000_a_second(board: Board) -> None:
-    heli = board.connect()
+def test_no_travel_edge_is_lost_at_200000_a_second(board: Board, heli: Heli) -> None:
     edges = 5000
     start_us = board.due.now_us
     board.due.clear_stats()
@@ -138,8 +136,7 @@ def test_no_travel_edge_is_lost_while_the_law_flies(board: Board) -> None:
     assert travel_counts_lost(board) == 0
 
 
-def test_illegal_transitions_are_counted_on_every_encoder(board: Board) -> None:
-    heli = board.connect()
+def test_illegal_transitions_are_counted_on_every_encoder(board: Board, heli: Heli) -> None:
     board.due.glitch_encoder(0)
     for _ in range(2):
         board.due.glitch_encoder(1)
@@ -152,8 +149,7 @@ def test_illegal_transitions_are_counted_on_every_encoder(board: Board) -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_illegal_transitions_are_counted_beyond_16_bits(board: Board, axis: int) -> None:
-    heli = board.connect()
+def test_illegal_transitions_are_counted_beyond_16_bits(board: Board, heli: Heli, axis: int) -> None:
     place = board.image.symbols[TRAVEL_ILLEGAL if axis == 2 else DECODER_ERRORS] + 4 * (axis == 1)
     board.due.poke(place, struct.pack("<I", 0xFFFD))
     heli.wait(0.05)
@@ -169,8 +165,7 @@ def test_illegal_transitions_are_counted_beyond_16_bits(board: Board, axis: int)
     assert getattr(heli.session.status(), f"illegal_{Axis(axis).name.lower()}") == 0xFFFF
 
 
-def test_a_tick_that_is_late_is_counted_and_reported(board: Board) -> None:
-    heli = board.connect()
+def test_a_tick_that_is_late_is_counted_and_reported(board: Board, heli: Heli) -> None:
     assert heli.session.status().overruns == 0
     board.due.hold_processor(True)
     board.due.run_us(2800.0)
@@ -182,8 +177,9 @@ def test_a_tick_that_is_late_is_counted_and_reported(board: Board) -> None:
 
 
 @pytest.mark.parametrize(("front_V", "back_V"), [(6.0, 3.0), (-2.0, 1.0), (0.0, 0.0), (9.0, -4.0)])
-def test_duties_are_the_voltages_within_one_step(board: Board, front_V: float, back_V: float) -> None:
-    heli = board.connect()
+def test_duties_are_the_voltages_within_one_step(
+    board: Board, heli: Heli, front_V: float, back_V: float
+) -> None:
     open_loop(heli, front_V, back_V)
     assert board.on()
     supply_V = heli.session.read_params()[Param.SUPPLY_V]
@@ -242,8 +238,7 @@ def test_saved_parameters_outlive_a_reset_and_the_pages_take_turns(board: Board)
         assert sorted(changed) == [False, True]
 
 
-def test_ticks_go_on_while_the_flash_is_written(board: Board) -> None:
-    heli = board.connect()
+def test_ticks_go_on_while_the_flash_is_written(heli: Heli) -> None:
     heli.session.command(ParamsSaveMessage(0))
     heli.wait(0.1)
     assert heli.session.status().overruns == 0
@@ -296,8 +291,7 @@ def test_bytes_that_find_no_room_are_lost_and_no_older_ones(board: Board) -> Non
     assert received[:kept] == list(range(kept))
 
 
-def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(board: Board) -> None:
-    heli = board.connect()
+def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(heli: Heli) -> None:
     heli.session.command(ParamSetMessage(0, Param.TELEMETRY_BATCH_TICKS, 4))
     heli.wait(1.0)
     counters = heli.session.counters
@@ -342,8 +336,7 @@ def word(board: Board, symbol: str) -> int:
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_pulses_shorter_than_the_filter_are_nothing_to_a_decoder(board: Board, axis: int) -> None:
-    heli = board.connect()
+def test_pulses_shorter_than_the_filter_are_nothing_to_a_decoder(board: Board, heli: Heli, axis: int) -> None:
     before = list(counted(heli))
     for _ in range(5):
         # The switching of a motor couples a pulse into both lines of a cable at once. A running processor
@@ -396,8 +389,7 @@ def test_travel_counts_every_step_in_both_directions(board: Board) -> None:
     assert board.due.exception_stats(TRAVEL_INTERRUPT)[0] == 18
 
 
-def test_a_spike_shorter_than_a_clock_is_no_stop_and_a_longer_one_is(board: Board) -> None:
-    heli = board.connect()
+def test_a_spike_shorter_than_a_clock_is_no_stop_and_a_longer_one_is(board: Board, heli: Heli) -> None:
     open_loop(heli, 6.0, 3.0)
     board.due.set_pin(STOP_PIN, "high")
     board.due.set_pin(STOP_PIN, "low")
@@ -412,8 +404,7 @@ def test_a_spike_shorter_than_a_clock_is_no_stop_and_a_longer_one_is(board: Boar
     assert heli.fault is Fault.HARDWARE_STOP
 
 
-def test_a_stop_that_bounces_keeps_the_outputs_low_until_the_enables_are(board: Board) -> None:
-    heli = board.connect()
+def test_a_stop_that_bounces_keeps_the_outputs_low_until_the_enables_are(board: Board, heli: Heli) -> None:
     open_loop(heli, 6.0, 3.0)
     # Between two ticks, so that the next one finds the switch open again.
     board.due.run_us(500.0)
@@ -437,8 +428,9 @@ def test_a_stop_that_bounces_keeps_the_outputs_low_until_the_enables_are(board: 
     assert heli.state is State.FAULT
 
 
-def test_stopping_takes_the_outputs_low_at_once_and_not_at_the_end_of_their_period(board: Board) -> None:
-    heli = board.connect()
+def test_stopping_takes_the_outputs_low_at_once_and_not_at_the_end_of_their_period(
+    board: Board, heli: Heli
+) -> None:
     open_loop(heli, 9.5, 9.5)
     for _ in range(6):
         board.due.glitch_encoder(2)

@@ -220,9 +220,8 @@ def send_travel_edges(board: Board, edges_per_s: float, milliseconds: int, direc
 @pytest.mark.parametrize("direction", [0, 1])
 @pytest.mark.parametrize("edges_per_s", [5e5, 2.5e6])
 def test_edges_too_fast_to_count_switch_off_and_inform_the_host(
-    board: Board, edges_per_s: float, direction: int
+    board: Board, heli: Heli, edges_per_s: float, direction: int
 ) -> None:
-    heli = board.connect()
     heli.arm()
     heli.control(Axes(0), front_V=6.0, back_V=6.0)
     heli.wait(0.05)
@@ -251,8 +250,7 @@ def test_edges_too_fast_to_count_switch_off_and_inform_the_host(
     assert board.on()
 
 
-def test_200000_edges_a_second_are_no_overload(board: Board) -> None:
-    heli = board.connect()
+def test_200000_edges_a_second_are_no_overload(board: Board, heli: Heli) -> None:
     heli.arm()
     send_travel_edges(board, 2e5, 100)
     heli.wait(0.1)
@@ -274,8 +272,7 @@ def test_bridges_are_off_from_power_up_until_armed(board: Board) -> None:
     assert board.duties() == [0.0, 0.0]
 
 
-def test_stopping_takes_every_enable_low(board: Board) -> None:
-    heli = board.connect()
+def test_stopping_takes_every_enable_low(board: Board, heli: Heli) -> None:
     heli.arm()
     assert board.on()
     heli.stop()
@@ -359,8 +356,9 @@ def test_hardware_stop_cuts_the_duty_with_the_processor_halted(
 
 
 @pytest.mark.parametrize("volts_V", [6.0, -6.0])
-def test_hardware_stop_cuts_every_half_bridge_in_both_directions(board: Board, volts_V: float) -> None:
-    heli = board.connect()
+def test_hardware_stop_cuts_every_half_bridge_in_both_directions(
+    board: Board, heli: Heli, volts_V: float
+) -> None:
     open_loop(heli, volts_V, volts_V)
     assert all(duty * volts_V > 0.05 for duty in board.duties())
     board.due.hold_processor(True)

@@ -45,8 +45,7 @@ def entered_us(board: Board) -> float:
     return float(board.due.now_us - since / CYCLES_PER_US)
 
 
-def test_a_tick_takes_as_long_as_it_does(board: Board) -> None:
-    heli = board.connect()
+def test_a_tick_takes_as_long_as_it_does(heli: Heli) -> None:
     heli.wait(0.1)
     status = heli.session.status()
     assert status.overruns == 0
@@ -55,9 +54,8 @@ def test_a_tick_takes_as_long_as_it_does(board: Board) -> None:
 
 @pytest.mark.parametrize("stalled_ms", [1.5, 2.1, 2.5, 2.9, 4.3, 7.8])
 def test_ticks_that_nobody_served_make_the_next_one_late_by_their_number(
-    board: Board, stalled_ms: float
+    board: Board, heli: Heli, stalled_ms: float
 ) -> None:
-    heli = board.connect()
     heli.wait(0.02)
     ended_us = tick_end(board)
     board.due.hold_processor(True)
@@ -72,8 +70,7 @@ def test_ticks_that_nobody_served_make_the_next_one_late_by_their_number(
     assert late_us <= status.tick_max_us <= late_us + 2 * QUIET_TICK_US
 
 
-def test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick(board: Board) -> None:
-    heli = board.connect()
+def test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick(board: Board, heli: Heli) -> None:
     heli.wait(0.02)
     tick_end(board)
     served, entered = board.due.exception_stats(TICK_INTERRUPT)[0], entered_us(board)
@@ -95,8 +92,7 @@ def test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick(board: B
     assert ticks == round(1e-3 * (entered_us(board) - entered))
 
 
-def test_an_edge_between_two_looks_at_the_clock_makes_no_tick_late(board: Board) -> None:
-    heli = board.connect()
+def test_an_edge_between_two_looks_at_the_clock_makes_no_tick_late(board: Board, heli: Heli) -> None:
     heli.wait(0.02)
     tick_end(board)
     ticked_us = entered_us(board)
@@ -186,8 +182,7 @@ def make_late(board: Board, heli: Heli, ticks: int) -> None:
         heli.wait(0.004)
 
 
-def test_late_ticks_from_before_arming_are_no_fault_and_later_ones_are(board: Board) -> None:
-    heli = board.connect()
+def test_late_ticks_from_before_arming_are_no_fault_and_later_ones_are(board: Board, heli: Heli) -> None:
     most = int(heli.session.read_params()[Param.OVERRUN_MAX])
     make_late(board, heli, most + 1)
     assert heli.session.status().overruns == most + 1
@@ -200,8 +195,7 @@ def test_late_ticks_from_before_arming_are_no_fault_and_later_ones_are(board: Bo
     assert board.off()
 
 
-def test_an_arm_that_was_zeroed_just_now_is_not_moving(board: Board) -> None:
-    heli = board.connect()
+def test_an_arm_that_was_zeroed_just_now_is_not_moving(board: Board, heli: Heli) -> None:
     for axis in range(3):
         for k in range(400):
             board.due.schedule_step(axis, 1, board.due.now_us + 10.0 + 100.0 * k)
@@ -212,8 +206,7 @@ def test_an_arm_that_was_zeroed_just_now_is_not_moving(board: Board) -> None:
     assert board.on()
 
 
-def test_a_hold_stays_where_it_began_on_every_axis_that_it_holds(board: Board) -> None:
-    heli = board.connect()
+def test_a_hold_stays_where_it_began_on_every_axis_that_it_holds(heli: Heli) -> None:
     # An arm that does not move when it is driven would be a fault first.
     for spec in PARAMS:
         if spec.name.endswith(TRACKING):
