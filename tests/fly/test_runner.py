@@ -247,14 +247,14 @@ def interrupts(log: Log) -> list[str]:
 
 def test_a_third_ctrl_c_neither_keeps_the_motors_running_nor_is_it_forgotten(tmp_path: Path) -> None:
     def interrupted_stop(heli: Heli) -> None:
-        stop = heli.stop
+        stop = heli.flying.stop
 
         def stop_between_two() -> None:
             signal.raise_signal(signal.SIGINT)
             stop()
             signal.raise_signal(signal.SIGINT)
 
-        heli.stop = stop_between_two  # type: ignore[method-assign]
+        heli.flying.stop = stop_between_two  # type: ignore[method-assign]
 
     before = signal.getsignal(signal.SIGINT)
     summary, log, state = flown(
