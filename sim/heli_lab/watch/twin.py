@@ -62,18 +62,30 @@ _HISTORY_BLOCKS: Final = WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) 
 
 @dataclass(frozen=True)
 class TwinEvent:
-    """A message of the twin."""
+    """A message of the twin.
+
+    Parameters
+    ----------
+    kind : str
+        ``free`` when the twin begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has
+        changed, ``diagnosed`` with the final ranking. ``contradicts`` when the flight contradicts the model
+        from the start, so that no change is named. ``glitch`` when an encoder jumped and returned.
+        ``unjudged`` when the flight first leaves the voltages of the nominal flights.
+    t_s : float
+        Time of the message on the clock of the samples minus its zero [s].
+    text : str
+        Message for people.
+    ranking : tuple of ChangeCandidate
+        For ``alarm`` and ``diagnosed``: possible changes, the most likely first.
+    onset_s : float
+        Time at which the most likely change began [s]; nan for the other kinds.
+    """
 
     kind: str
-    """``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
-    ``diagnosed`` with the final ranking. ``contradicts`` when the flight contradicts the model from the
-    start, so that no change is named. ``glitch`` when an encoder jumped and returned. ``unjudged`` when
-    the flight first leaves the voltages of the nominal flights."""
-    t_s: float  # Time of the message on the clock of the samples minus its zero [s]
-    text: str  # Message for people
+    t_s: float
+    text: str
     ranking: tuple[ChangeCandidate, ...] = ()
-    """For ``alarm`` and ``diagnosed``: possible changes, the most likely first."""
-    onset_s: float = math.nan  # Time at which the most likely change began [s]; nan for the other kinds
+    onset_s: float = math.nan
 
 
 def _format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
