@@ -195,7 +195,7 @@ def hypothesis(candidates: list[Candidate]) -> Hypothesis:
         SimpleNamespace(
             candidates=tuple(candidates),
             ids=tuple(candidate.id for candidate in candidates),
-            values={candidate.id: float(n) for n, candidate in enumerate(candidates)},
+            params={candidate.id: float(n) for n, candidate in enumerate(candidates)},
             log_likelihood=0.0,
         ),
     )
