@@ -1,7 +1,7 @@
 """Flying a control law that is not the board's: in Python on this computer, or uploaded to the board.
 
 A law in Python is called on device time, its voltages are streamed, and its timing is measured. The latency
-from a sample to its voltage is measured without comparing clocks: telemetry gives the voltage that acted in
+from a sample to its voltage is measured without comparing clocks. Telemetry gives the voltage that acted in
 each tick, so the tick of a voltage is known if it differs from the voltage before. While an uploaded law
 flies, the board's own law runs in parallel and can take over.
 """
