@@ -268,6 +268,11 @@ def test_some_mistakes_of_every_driver_are_noticed_by_the_tests_that_must() -> N
     assert len(mistakes) >= MISTAKES
 
 
+def test_the_test_that_must_notice_a_mistake_exists() -> None:
+    assert [test for _, test in rotation.mistakes(None, "") if not rotation.exists(test)] == []
+    assert not rotation.exists("tests/mutants/test_mutants.py::test_that_is_not_there[1]")
+
+
 def test_every_driver_has_a_mistake() -> None:
     # These two have no register of their own: arithmetic, and memory.
     without = {"firmware/due/memory.cpp", "firmware/due/due_board.cpp"}
