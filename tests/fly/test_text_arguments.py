@@ -97,7 +97,7 @@ def text_arguments() -> Iterator[str]:
                     continue
                 for argument, annotation in getattr(function, "__annotations__", {}).items():
                     if argument != "return" and re.search(
-                        r"\bstr\b|Literal|AfterLaw|PlanLike|Excitation", str(annotation)
+                        r"\bstr\b|Literal|AfterLaw|PlanLike|AnyPlan|Excitation", str(annotation)
                     ):
                         yield f"{function.__qualname__} {argument}"
 

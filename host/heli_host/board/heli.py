@@ -53,7 +53,7 @@ class FlightPlan(Protocol):
         ...
 
 
-PlanLike = FlightPlan | str | Path
+AnyPlan = FlightPlan | str | Path
 
 
 class Heli:
@@ -736,7 +736,7 @@ class Heli:
 
     def fly(
         self,
-        plans: PlanLike | Sequence[PlanLike],
+        plans: AnyPlan | Sequence[AnyPlan],
         log: str | Path | None = None,
         *,
         overwrite: bool = False,

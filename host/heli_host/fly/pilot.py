@@ -359,7 +359,7 @@ _DOWN = (State.IDLE, State.FAULT)
 _REQUESTED = (Trigger.LAND, Trigger.STOP)
 
 
-class Landing:
+class PlanLanding:
     """Brings the arm down, in the thread of `heli_host.fly.pilot.Pilot.fly`, which handles its errors."""
 
     def __init__(
@@ -410,8 +410,8 @@ class Pilot:
     """One flight along a route. Every way in which it ends, including an error, leads to a landing or a stop.
 
     It owns the order of a flight and its outcome, and runs in the thread that calls `fly`. Setpoints go out
-    from `RouteStream`, `FlightMonitor` decides that the flight must end, `Landing` brings the arm down. It
-    switches the motors off in the air only after a second interrupt.
+    from `RouteStream`, `FlightMonitor` decides that the flight must end, `PlanLanding` brings the arm down.
+    It switches the motors off in the air only after a second interrupt.
 
     Parameters
     ----------
@@ -466,7 +466,7 @@ class Pilot:
         self._stream = RouteStream(heli, route, recorder, self._tracking)
         self._monitor = FlightMonitor(heli, recorder, end_when or (lambda: ""))
         self._reports = ProgressReports(heli, route, on_progress)
-        self._landing = Landing(heli, self._stream, recorder, self._monitor, self._reports)
+        self._landing = PlanLanding(heli, self._stream, recorder, self._monitor, self._reports)
         self._excitations = [piece for piece in route.pieces if piece.excitation is not None]
 
     def fly(self) -> None:
