@@ -285,7 +285,7 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason="skipped: no C co
 posix = pytest.mark.skipif(os.name != "posix", reason="skipped: owners and modes are POSIX")
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A cache of its own for every test."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -298,6 +298,7 @@ def build() -> Path:
     return library
 
 
+@pytest.mark.usefixtures("folder")
 @needs_compiler
 @pytest.mark.medium
 def test_a_library_that_a_power_cut_damaged_is_built_again() -> None:
@@ -319,6 +320,7 @@ def test_a_library_that_a_power_cut_damaged_is_built_again() -> None:
     assert subprocess.check_output([sys.executable, "-c", script], text=True).strip() == "1.5"
 
 
+@pytest.mark.usefixtures("folder")
 @needs_compiler
 @pytest.mark.medium
 def test_a_whole_library_is_not_built_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -327,6 +329,7 @@ def test_a_whole_library_is_not_built_again(monkeypatch: pytest.MonkeyPatch) -> 
     assert build() == library
 
 
+@pytest.mark.usefixtures("folder")
 @needs_compiler
 @pytest.mark.medium
 def test_a_library_of_a_version_without_digests_is_built_again() -> None:
@@ -337,6 +340,7 @@ def test_a_library_of_a_version_without_digests_is_built_again() -> None:
     assert is_intact(build())
 
 
+@pytest.mark.usefixtures("folder")
 def test_a_library_is_on_the_disk_before_it_has_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
