@@ -258,7 +258,7 @@ SECRET = "00112233445566778899aabbccddeeff"
 NAMES = ["case-001", "case-002"]
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def short_flights(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cases with flights of a second, and a lag as truth: what flies is the subject of other tests."""
     t_s = 0.01 * np.arange(100.0)
@@ -286,6 +286,7 @@ def answer_all(split: Path, truths: Path, runs: Path) -> None:
         write_answer(runs / f"{name}.json", informed(read_split(split, truths).truth(name)))
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_a_sealed_split_has_no_truth_and_no_secret_in_its_folder(sealed: tuple[Path, Path]) -> None:
     split, truths = sealed
     texts = [
@@ -297,6 +298,7 @@ def test_a_sealed_split_has_no_truth_and_no_secret_in_its_folder(sealed: tuple[P
     assert not (split / "truth").exists()
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_a_commitment_is_the_digest_that_sha256sum_prints(sealed: tuple[Path, Path]) -> None:
     split, truths = sealed
     digests = json.loads((split / "commitments.json").read_text())["sha256"]
@@ -305,11 +307,13 @@ def test_a_commitment_is_the_digest_that_sha256sum_prints(sealed: tuple[Path, Pa
     }
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_equal_truths_have_different_commitments(sealed: tuple[Path, Path]) -> None:
     digests = json.loads((sealed[0] / "commitments.json").read_text())["sha256"]
     assert len(set(digests.values())) == 2
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_a_truth_that_was_changed_after_the_answers_is_refused(
     sealed: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -324,6 +328,7 @@ def test_a_truth_that_was_changed_after_the_answers_is_refused(
     assert "case-002.json is not the truth that the split committed to" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_a_sealed_split_cannot_be_scored_without_its_truths(
     sealed: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -333,6 +338,7 @@ def test_a_sealed_split_cannot_be_scored_without_its_truths(
     assert "give the folder of the truths with --truth" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_no_method_runs_before_all_commitments_are_written(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -353,12 +359,14 @@ def test_no_method_runs_before_all_commitments_are_written(
     assert [case.name for case in read_split(tmp_path / "s").cases] == NAMES
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_the_same_secret_makes_the_same_commitments(sealed: tuple[Path, Path], tmp_path: Path) -> None:
     make_split(tmp_path / "again", "sealed", Seal(SECRET), 2, truth_folder=tmp_path / "truths-again")
     files = [folder / "commitments.json" for folder in (sealed[0], tmp_path / "again")]
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_an_open_split_grows_and_a_sealed_one_does_not(sealed: tuple[Path, Path], tmp_path: Path) -> None:
     for count in (1, 3):
         make_split(tmp_path / "open", "public", 7, count)
@@ -369,6 +377,7 @@ def test_an_open_split_grows_and_a_sealed_one_does_not(sealed: tuple[Path, Path]
         make_split(sealed[0], "sealed", Seal(SECRET), 3, truth_folder=sealed[1])
 
 
+@pytest.mark.usefixtures("short_flights")
 @pytest.mark.parametrize("place", range(len(SECRET)))
 def test_each_digit_of_the_secret_changes_the_cases_and_their_salts(place: int) -> None:
     digit = "0" if SECRET[place] == "f" else "f"
@@ -380,10 +389,12 @@ def test_each_digit_of_the_secret_changes_the_cases_and_their_salts(place: int) 
     assert Seal(SECRET).salt("case-001") != other.salt("case-001")
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_each_case_has_a_salt_of_its_own() -> None:
     assert len({Seal(SECRET).salt(f"case-{number:03d}") for number in range(1, 100)}) == 99
 
 
+@pytest.mark.usefixtures("short_flights")
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -400,6 +411,7 @@ def test_a_secret_that_can_be_guessed_is_refused(content: str, words: str, tmp_p
     assert words in str(caught.value)
 
 
+@pytest.mark.usefixtures("short_flights")
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -416,11 +428,13 @@ def test_wrong_options_of_a_sealed_split_are_one_line(
     assert not (tmp_path / "s").exists()
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_truths_inside_the_folder_of_a_sealed_split_are_refused(tmp_path: Path) -> None:
     with pytest.raises(BenchmarkError, match=r"is inside.*another folder with --truth"):
         make_split(tmp_path / "s", "sealed", Seal(SECRET), 2, truth_folder=tmp_path / "s" / "truth")
 
 
+@pytest.mark.usefixtures("short_flights")
 @pytest.mark.medium
 def test_programs_that_know_croissant_load_the_flights_of_a_split(sealed: tuple[Path, Path]) -> None:
     croissant = pytest.importorskip("mlcroissant", reason="skipped: no mlcroissant")
@@ -433,6 +447,7 @@ def test_programs_that_know_croissant_load_the_flights_of_a_split(sealed: tuple[
     assert rows[0]["training-rows/file"].endswith(b"cases/case-001/training-1.csv")
 
 
+@pytest.mark.usefixtures("short_flights")
 def test_the_data_card_says_whether_the_truth_is_sealed(sealed: tuple[Path, Path], tmp_path: Path) -> None:
     make_split(tmp_path / "open", "public", 7, 1)
     assert "Seed 7 of heli-lab" in (tmp_path / "open" / "README.md").read_text()
