@@ -13,7 +13,7 @@ import time
 import numpy as np
 from heli_host.ui.page.serve import Address
 
-from tests.page.socket_page import SocketPage
+from tests.page.page_server import SocketPage
 
 
 def missing(page: SocketPage) -> int:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from heli_host.ui.page.serve import Address
 
-from tests.page.socket_page import PATIENCE_S
+from tests.page.page_server import PATIENCE_S
 
 ARGUMENTS: Final = {
     "take_off": ("elevation_deg",),

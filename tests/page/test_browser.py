@@ -31,8 +31,7 @@ from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
 from tests.page.browser import PATIENCE_S, PHONE, TABLET, WIDE, Tabs, click, tabs, until
-from tests.page.laws import steady, tired
-from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board, patient_page
+from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board, patient_page, steady, tired
 from tests.running.long import LONG, samples
 from tests.running.order import REAL_TIME
 

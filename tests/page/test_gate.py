@@ -25,9 +25,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import Frame, Opcode
 from websockets.sync.client import ClientConnection, connect
 
-from tests.page.desk import Desk
 from tests.page.hostile_requests import status_of_request
-from tests.page.socket_page import PATIENCE_S
+from tests.page.page_server import PATIENCE_S, Desk
 
 pytestmark = pytest.mark.medium
 

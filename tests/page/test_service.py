@@ -1,7 +1,9 @@
-"""The page's server over its sockets: who is let in, who flies, what is shown, and what a stop does."""
+"""The page's server: who is let in, who flies, what is shown and served, and what a stop does."""
 
 from __future__ import annotations
 
+import gzip
+import re
 import signal
 import urllib.error
 import urllib.request
@@ -14,22 +16,24 @@ import numpy as np
 import pytest
 from heli_host.data.log.reader import read_log
 from heli_host.declaration import Channel, Flags, State, Trigger
-from heli_host.errors import LinkError, PortError
 from heli_host.ui.page.client import PageError
 from heli_host.ui.page.serve import Address
+from heli_host.ui.page.service import page_file
 from heli_host.ui.page.telemetry import THINNED
 from heli_sim.sil.transport import SilProcess
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from tests.page.laws import steady, tired
-from tests.page.page_server import Served, page_process, patient_page
-from tests.page.socket_page import SocketPage
+from tests.page.fetch_vendor import FOLDER, integrity, pinned, stored, unpacked
+from tests.page.page_server import Served, SocketPage, page_process, patient_page, steady, tired
 from tests.running.order import REAL_TIME
 
-pytest.importorskip("starlette", reason="the extra 'page' is not installed: make setup")
+STATIC = FOLDER.parent
+OWN = sorted(path for path in STATIC.glob("*") if path.suffix in (".js", ".html", ".css", ".svg"))
+MAX_LINES = 1200
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
+
+pytest.importorskip("starlette", reason="the extra 'page' is not installed: make setup")
 
 
 @pytest.fixture
@@ -50,6 +54,8 @@ def fetched(url: str, method: str = "GET", **headers: str) -> tuple[int, str]:
         return error.code, error.read().decode()
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_nobody_is_let_in_without_the_token_or_from_elsewhere(served: Served) -> None:
     address = served.address
     base = f"http://127.0.0.1:{address.port}"
@@ -74,6 +80,8 @@ def test_nobody_is_let_in_without_the_token_or_from_elsewhere(served: Served) ->
     assert served.heli.session.stops == 1
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_no_file_beyond_the_page_is_served(served: Served) -> None:
     base = f"http://127.0.0.1:{served.address.port}"
     for path in (
@@ -87,6 +95,8 @@ def test_no_file_beyond_the_page_is_served(served: Served) -> None:
         assert fetched(f"{base}/{path}")[0] in (400, 404), path
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_the_first_page_flies_and_the_second_watches_but_can_stop(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         assert first.flies
@@ -101,6 +111,8 @@ def test_the_first_page_flies_and_the_second_watches_but_can_stop(served: Served
         assert served.heli.session.stops == 1
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_control_is_handed_over_by_asking(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         assert second.ask("ask")["granted"] is False
@@ -114,19 +126,8 @@ def test_control_is_handed_over_by_asking(served: Served) -> None:
         assert "error" in first.ask("take_off")
 
 
-def test_a_pilot_whose_page_falls_silent_is_a_missing_setpoint_and_the_board_lands(served: Served) -> None:
-    with SocketPage(served.address) as first, SocketPage(served.address) as second:
-        first.ask("take_off")
-        first.answers.clear()
-        second.until_state("hold")
-        second.until_state("landing")
-        second.until_state("idle")
-        texts = second.events("state")
-        assert "state hold: the pilot's page does not answer" in texts
-        assert "state landing: the pilot's page does not answer" in texts
-        assert served.heli.session.stops == 0
-
-
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_a_pilot_who_is_back_while_it_holds_flies_on(served: Served) -> None:
     with SocketPage(served.address, client="tab") as second_look:
         second_look.ask("take_off")
@@ -139,15 +140,23 @@ def test_a_pilot_who_is_back_while_it_holds_flies_on(served: Served) -> None:
                 again.stop()
 
 
-def test_a_plan_whose_pilot_is_lost_is_ended_by_the_board(served: Served) -> None:
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
+def test_a_pilot_whose_page_falls_silent_is_a_missing_setpoint_and_the_board_lands(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         number = first.send("fly", plans=["hover"])
         second.until(lambda: (second.known["status"]["flight"] or {}).get("phase") == "hover")
         first.answers.clear()
+        second.until_state("hold")
+        second.until_state("landing")
         second.until_state("idle")
+        assert "state hold: the pilot's page does not answer" in second.events("state")
         assert "state landing: the pilot's page does not answer" in first.answer(number)["outcome"]
+        assert served.heli.session.stops == 0
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_a_duplicated_tab_is_a_client_of_its_own(served: Served) -> None:
     with (
         SocketPage(served.address, client="same") as first,
@@ -157,6 +166,8 @@ def test_a_duplicated_tab_is_a_client_of_its_own(served: Served) -> None:
         assert not second.flies
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_what_a_page_shows_is_what_the_log_holds(served: Served) -> None:
     with SocketPage(served.address) as page, SocketPage(served.address), SocketPage(served.address):
         answer = page.ask("fly", plans=["short"])
@@ -180,6 +191,8 @@ def test_what_a_page_shows_is_what_the_log_holds(served: Served) -> None:
         assert "hold" in log.metadata["plan"]["short"]
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_a_client_that_does_not_keep_up_gets_fewer_rows_and_holds_nobody_up(served: Served) -> None:
     with SocketPage(served.address) as quick, SocketPage(served.address) as slow:
         slow.answers.clear()
@@ -201,6 +214,8 @@ def test_a_client_that_does_not_keep_up_gets_fewer_rows_and_holds_nobody_up(serv
         assert int(late.tick[-1] - late.tick[0]) > 5000
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_parameters_change_in_flight_where_the_declaration_lets_them(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         before = first.known["hello"]["values"]["travel_kp"]
@@ -230,6 +245,8 @@ def test_parameters_change_in_flight_where_the_declaration_lets_them(served: Ser
         first.stop()
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) -> None:
     laws = [steady().program, tired().program]
     with (
@@ -269,6 +286,8 @@ def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) ->
         first.stop()
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_a_stop_during_the_take_off_ends_it_and_a_later_one_flies_again(served: Served) -> None:
     with SocketPage(served.address) as page:
         number = page.send("take_off")
@@ -283,6 +302,8 @@ def test_a_stop_during_the_take_off_ends_it_and_a_later_one_flies_again(served: 
         page.stop()
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_land_ends_a_plan_and_the_log_says_so(served: Served) -> None:
     with SocketPage(served.address) as page:
         number = page.send("fly", plans=["hover"])
@@ -297,6 +318,8 @@ def test_land_ends_a_plan_and_the_log_says_so(served: Served) -> None:
         assert log.metadata["result"]["outcome"].startswith("aborted")
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_recording_goes_on_and_off_with_marks_and_setpoints_by_hand(served: Served) -> None:
     with SocketPage(served.address) as page:
         page.ask("record", on=True)
@@ -314,18 +337,8 @@ def test_recording_goes_on_and_off_with_marks_and_setpoints_by_hand(served: Serv
         assert log.metadata["parameters_changed"] == {"travel_kp": "0.65"}
 
 
-def test_what_is_no_request_is_answered_in_words(served: Served) -> None:
-    with SocketPage(served.address) as page:
-        for message in ("", "[]", "{", '{"do": 3}', "x" * 5000):
-            page.socket.send(message)
-        page.until(lambda: sum("error" in words for words in page.words) == 5)
-        assert "unknown request" in page.ask("explode")["error"]
-        assert "unknown plan" in page.ask("fly", plans=["nowhere"])["error"]
-        assert "is not a number" in page.ask("setpoint", travel_deg="far")["error"]
-        assert "is not a number" in page.ask("take_off", elevation_deg=None)["error"]
-        assert served.heli.state is State.IDLE
-
-
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_a_second_program_joins_tunes_and_flies_once_it_is_let(served: Served) -> None:
     with SocketPage(served.address) as page, heli_host.join(served.address.program) as program:
         assert not program.flies
@@ -350,13 +363,8 @@ def test_a_second_program_joins_tunes_and_flies_once_it_is_let(served: Served) -
         program.wait_for_state(State.IDLE)
 
 
-def test_a_program_with_an_address_of_no_page_gets_an_error(served: Served) -> None:
-    with pytest.raises(PortError, match="is not the address of a dashboard"):
-        heli_host.join("page://127.0.0.1:1")
-    with pytest.raises(LinkError, match="refuses the connection"):
-        heli_host.join(f"page://127.0.0.1:{served.address.port}/?token=wrong")
-
-
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_a_server_that_is_killed_is_a_missing_setpoint_and_the_board_lands(tmp_path: Path) -> None:
     with SilProcess(rig="makki2024", speed=1.0) as board:
         with page_process("--port", board.url, folder=tmp_path) as (server, url):
@@ -373,6 +381,8 @@ def test_a_server_that_is_killed_is_a_missing_setpoint_and_the_board_lands(tmp_p
             assert landed.trigger is Trigger.STALE_LAND
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group(REAL_TIME)
 def test_ctrl_c_at_the_server_lands(tmp_path: Path) -> None:
     with page_process("--sil", folder=tmp_path) as (server, url):
         parts = urlsplit(url)
@@ -387,3 +397,55 @@ def test_ctrl_c_at_the_server_lands(tmp_path: Path) -> None:
     assert "landing; Ctrl-C stops the motors" in output
     assert "landed" in output
     assert server.returncode == 0
+
+
+@pytest.mark.parametrize("path", OWN, ids=lambda path: path.name)
+def test_nothing_is_loaded_from_elsewhere(path: Path) -> None:
+    addresses = set(re.findall(r"(?:https?:)?//[\w.-]+\.\w+[^\s\"')]*", path.read_text()))
+    assert addresses <= {"http://www.w3.org/2000/svg"}
+
+
+def test_the_policy_lets_a_page_load_from_its_server_only() -> None:
+    policy = page_file("", {}).headers["content-security-policy"]
+    sources = {word for rule in policy.split(";") for word in rule.split()[1:]}
+    assert sources == {"'none'", "'self'"}
+
+
+def test_every_file_that_the_page_names_is_there() -> None:
+    for path in OWN:
+        text = path.read_text()
+        named = re.findall(r'(?:src|href)="([\w./]+)"', text) + re.findall(r'from "\./([\w./]+)"', text)
+        named += re.findall(r'new Worker\("([\w./]+)"', text)
+        for name in named:
+            assert page_file(name, {}).status_code == 200, f"{path.name} names {name}"
+
+
+@pytest.mark.parametrize("name", [name for entry in pinned().values() for name in entry["files"]])
+def test_what_others_wrote_is_there_with_its_licence(name: str) -> None:
+    data = stored(name).read_bytes()
+    text = (gzip.decompress(data) if stored(name).suffix == ".gz" else data).decode()
+    assert len(text) > 500
+    if name.endswith("LICENSE"):
+        assert "Permission is hereby granted, free of charge" in text
+
+
+def test_a_browser_that_takes_no_gzip_gets_plain_text() -> None:
+    plain = page_file("vendor/three.js", {})
+    packed = page_file("vendor/three.js", {"accept-encoding": "gzip, deflate"})
+    assert gzip.decompress(bytes(packed.body)) == bytes(plain.body)
+    assert packed.headers["content-encoding"] == "gzip"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("package", pinned())
+def test_what_others_wrote_is_what_npm_has_under_the_pinned_hash(package: str) -> None:
+    entry = pinned()[package]
+    try:
+        with urllib.request.urlopen(entry["url"], timeout=30) as answer:
+            tarball = answer.read()
+    except (urllib.error.URLError, TimeoutError) as error:
+        pytest.skip(f"skipped: npm cannot be reached ({error})")
+    assert integrity(tarball) == entry["integrity"]
+    for name, data in unpacked(tarball, entry["files"]).items():
+        kept = stored(name).read_bytes()
+        assert (gzip.decompress(kept) if stored(name).suffix == ".gz" else kept) == data

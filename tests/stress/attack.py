@@ -22,9 +22,7 @@ from tests.law.hostile import HOSTILE, RIGS, tries
 from tests.link.fuzz_host import fuzz_host
 from tests.log.fuzz_log import fuzz_log
 from tests.page.hostile_requests import hostile_http, hostile_request
-from tests.page.log_lines import log_lines, traces
-from tests.page.page_server import page_of_a_simulated_board
-from tests.page.socket_page import SocketPage
+from tests.page.page_server import SocketPage, log_lines, page_of_a_simulated_board, traces
 from tests.sil.faulty_flights import case, flown, mistakes_of
 from tests.stress.serial_stories import live, preload, story
 

@@ -28,14 +28,20 @@ from heli_host.errors import HeliError
 from tests.stress.serial_board import (
     CHANGES_SETTINGS,
     COMPETES,
+    CUT_WRITE,
     LAND_AFTER_TICKS,
+    READ_FAILS,
+    SLOW,
     TAKES_BYTES,
+    WRITE_FAILS,
     WRITES,
+    Host,
+    PortTrouble,
     SecondProgram,
     SerialBoard,
     Truth,
+    start_host,
 )
-from tests.stress.serial_host import CUT_WRITE, READ_FAILS, SLOW, WRITE_FAILS, Host, PortTrouble, start_host
 
 SPEED: Final = 4.0
 PLAN: Final = """

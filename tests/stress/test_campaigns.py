@@ -13,15 +13,13 @@ import pytest
 pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 pytest.importorskip("starlette", reason="skipped: the extra 'page' is not installed")
 
-from tests.page.laws import steady
-from tests.page.page_server import patient_page
+from tests.page.page_server import patient_page, steady
 from tests.running.long import samples
 from tests.running.order import REAL_TIME
 from tests.stress.attack import attack_page
-from tests.stress.page_ages import Lateness, StatusAges
 from tests.stress.serial_board import Truth
 from tests.stress.serial_stories import Lived, late_text, story, table
-from tests.stress.soak import Soak, keep_busy
+from tests.stress.soak import Lateness, Soak, StatusAges, keep_busy
 
 ROOT = Path(__file__).resolve().parents[2]
 posix = pytest.mark.skipif(os.name != "posix", reason="skipped: Windows has no pseudo-terminals")
