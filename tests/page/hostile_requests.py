@@ -41,13 +41,7 @@ ODD: Final[tuple[Any, ...]] = (
 
 
 def hostile_request(chance: random.Random, harmless: bool = False) -> dict[str, Any]:
-    """Return a request with odd arguments.
-
-    Parameters
-    ----------
-    harmless : bool
-        True leaves out requests that a sound client could send to end a flight.
-    """
+    """Return a request with odd arguments."""
     ends = ("land", "take_off", "fly", "law", "grant", "ask") if harmless else ()
     name = chance.choice([request for request in (*ARGUMENTS, "stop it", "") if request not in ends])
     arguments = {argument: chance.choice(ODD) for argument in ARGUMENTS.get(name, ("x",))}

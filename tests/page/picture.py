@@ -15,13 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def take(folder: Path) -> None:
-    """Fly the plan of sines, and take pictures of it.
-
-    Parameters
-    ----------
-    folder
-        Where they go.
-    """
+    """Fly the plan of sines, and take pictures of it."""
 
     def picture(page: Page, name: str) -> None:
         page.screenshot(path=folder / f"{name}.png")

@@ -118,17 +118,7 @@ def _answered(page: SocketPage, number: int, unnumbered: int) -> bool:
 
 @dataclass(frozen=True)
 class Attack:
-    """One kind of attack.
-
-    Parameters
-    ----------
-    what : str
-        For the table.
-    run : callable taking a seed and a count, returning an iterator of str
-        Runs it and complains.
-    weight : int
-        How many are tried where one flight is.
-    """
+    """One kind of attack."""
 
     what: str
     run: Callable[[int, int], Iterator[str]]
@@ -148,15 +138,7 @@ ATTACKS: Final = {
 def attack(
     seed: int, count: int, names: list[str] | None = None, say: Callable[[str], None] = print
 ) -> tuple[list[str], int]:
-    """Run attacks.
-
-    Returns
-    -------
-    table : list of str
-        One line per kind.
-    complaints : int
-        How many there were.
-    """
+    """Run attacks; return a table with one line per kind, and how many complaints there were."""
     lines = [f"| attack (seed {seed}) | tried | complaints | seconds |", "|---|---|---|---|"]
     total = 0
     for name, attack in ATTACKS.items():

@@ -90,21 +90,7 @@ def flood(port: int, token: str, clients: int, kind: str) -> None:
 
 
 def measure_stops(address: str, process_id: int, clients: int, kind: str, duration_s: float) -> Stops:
-    """Flood a server, stop again and again meanwhile, and return how long that took.
-
-    Parameters
-    ----------
-    address : str
-        URL of the page, with its token.
-    process_id : int
-        Process of the server.
-    clients : int
-        Number of clients.
-    kind : str
-        One of `KINDS`.
-    duration_s : float
-        Length of the flood [s].
-    """
+    """Flood a server, stop again and again meanwhile, and return how long that took."""
     url = urlsplit(address)
     port, token = int(url.port or 0), parse_qs(url.query)["token"][0]
     result = Stops(kind)

@@ -43,36 +43,16 @@ _MOST_FDS = 256
 
 @dataclass
 class Truth:
-    """Events at the board's side of the port, in ticks of the board; -1 for an event that has not happened.
+    """Events at the board's side of the port, in ticks of the board; -1 if an event has not happened."""
 
-    Attributes
-    ----------
-    armed_tick : int
-        When the newest frame came before the loops were closed, from the request to arm on.
-    longest_silence_ticks : int
-        The longest time without a frame, from arming to closing the loops.
-    closed_tick : int
-        When the request to close the loops arrived.
-    fresh_tick : int
-        When the newest setpoint arrived that the board could still follow.
-    longest_gap_ticks : int
-        The longest time without one, from closing the loops to the end of the flight.
-    land_tick : int
-        When the host's first request to land or to stop arrived.
-    stop_tick : int
-        When its first stop arrived.
-    last_on_tick : int
-        When a motor had a voltage last.
-    """
-
-    armed_tick: int = -1
-    longest_silence_ticks: int = 0
-    closed_tick: int = -1
-    fresh_tick: int = -1
-    longest_gap_ticks: int = 0
-    land_tick: int = -1
-    stop_tick: int = -1
-    last_on_tick: int = -1
+    armed_tick: int = -1  # Newest frame before the loops were closed, from the request to arm on
+    longest_silence_ticks: int = 0  # Longest time without a frame, from arming to closing the loops
+    closed_tick: int = -1  # Request to close the loops
+    fresh_tick: int = -1  # Newest setpoint that the board could still follow
+    longest_gap_ticks: int = 0  # Longest time without one, from closing the loops to the end
+    land_tick: int = -1  # The host's first request to land or to stop
+    stop_tick: int = -1  # Its first stop
+    last_on_tick: int = -1  # The last voltage on a motor
 
     def hear(self, message: int, tick: int) -> None:
         """Note a frame of the host that reached the board."""
@@ -110,17 +90,7 @@ class Truth:
 
 
 class SerialBoard:
-    """Serves a world behind a pseudo-terminal in the caller's thread.
-
-    Parameters
-    ----------
-    path : Path
-        Name of the port.
-    seed : int
-        Seed of the simulation.
-    speed : float
-        Simulated seconds per second.
-    """
+    """Serves a world behind a pseudo-terminal in the caller's thread."""
 
     def __init__(self, path: Path, seed: int, speed: float) -> None:
         self.world = SilWorld(parse_options({"seed": str(seed), "board": "native"}))
@@ -184,14 +154,7 @@ class SerialBoard:
 
 
 class SecondProgram:
-    """A program that opens the port of a flight, as modem managers, terminals and colleagues do.
-
-    Parameters
-    ----------
-    kind : str
-        `TAKES_BYTES` from the host; `WRITES` a modem's commands; `CHANGES_SETTINGS` to those of a terminal
-        with echo; `COMPETES`: another ``heli-host``.
-    """
+    """A program that opens the port of a flight, as modem managers, terminals and colleagues do."""
 
     def __init__(self, kind: str, board: SerialBoard) -> None:
         self.reply = ""
@@ -247,15 +210,7 @@ class SecondProgram:
 
 @dataclass(frozen=True)
 class PortTrouble:
-    """Trouble inside the host's own system calls.
-
-    Parameters
-    ----------
-    kind : str
-        `SLOW`, `READ_FAILS`, `WRITE_FAILS` or `CUT_WRITE`.
-    at_s, until_s : float
-        When it begins and when slow reads end, in seconds of this computer since the host's start.
-    """
+    """Trouble inside the host's own system calls."""
 
     kind: str
     at_s: float
@@ -263,13 +218,7 @@ class PortTrouble:
 
 
 class TroubledOs:
-    """Stands between pyserial and the system's ``os``: each failure happens once.
-
-    Parameters
-    ----------
-    cut : callable
-        Takes the cable out, and returns when it is out.
-    """
+    """Stands between pyserial and the system's ``os``: each failure happens once."""
 
     def __init__(self, troubles: list[PortTrouble], cut: Callable[[], None]) -> None:
         self._troubles = list(troubles)
@@ -313,17 +262,7 @@ class TroubledOs:
 
 @dataclass(frozen=True)
 class Host:
-    """A running host.
-
-    Parameters
-    ----------
-    pid : int
-        Its process.
-    asks : int
-        File descriptor that gives a byte when the host wants its cable out.
-    answers : int
-        File descriptor that takes a byte when it is out.
-    """
+    """A running host."""
 
     pid: int
     asks: int

@@ -112,17 +112,7 @@ def story(number: int) -> Story:
 
 @dataclass
 class Lived:
-    """How a story went.
-
-    Attributes
-    ----------
-    code : int
-        The host's exit code; -1 for one that did not end.
-    outcome : str
-        Report of the host: the outcome in the summary, or its error if there was no flight.
-    landed_s : float
-        From the newest setpoint to motors off; 0 where the host ended the flight or none was flown.
-    """
+    """How a story went."""
 
     number: int
     code: int = -1

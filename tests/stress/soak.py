@@ -64,19 +64,7 @@ _KEPT: Final = 300
 
 @dataclass
 class Soak:
-    """Result of a soak.
-
-    Attributes
-    ----------
-    minutes : float
-        How long it took.
-    acts : Counter of str
-        Actions of the clients, and their counts.
-    lost_ticks, gaps : int
-        Samples that the host missed, and samples missing in the logs.
-    memory_kB : list of (float, int)
-        Resident memory of the server [kB] at moments [s].
-    """
+    """Result of a soak."""
 
     seed: int
     minutes: float = 0.0
@@ -133,13 +121,7 @@ class Soak:
 
 
 class Clients:
-    """Actions of clients, one at a time.
-
-    Parameters
-    ----------
-    address : Address
-        Address of the server.
-    """
+    """Actions of clients, one at a time."""
 
     def __init__(self, address: Address, lateness: Lateness) -> None:
         self._address = address
@@ -271,17 +253,7 @@ class Sleepers:
 
 
 def soak(minutes: float, seed: int, say: Callable[[str], None] = print) -> Soak:
-    """Keep a page's server busy.
-
-    Parameters
-    ----------
-    minutes : float
-        How long.
-    seed : int
-        Seed of the actions.
-    say : callable
-        Takes a line now and then.
-    """
+    """Keep a page's server busy."""
     result = Soak(seed)
     with tempfile.TemporaryDirectory(prefix="heli-soak-") as name:
         folder = Path(name)
@@ -426,13 +398,7 @@ def _drained(process: subprocess.Popen[str]) -> Iterator[list[str]]:
 
 
 class Lateness:
-    """How late this computer wakes a thread that only sleeps: its own share of every gap.
-
-    Attributes
-    ----------
-    worst_s : float
-        The latest waking.
-    """
+    """How late this computer wakes a thread that only sleeps: its own share of every gap."""
 
     def __init__(self) -> None:
         self.worst_s = 0.0
@@ -462,19 +428,6 @@ class StatusAges:
 
     A status holds the server's monotonic time, which all processes of a computer share. As a page does, a
     client drops a status that is older than `STALE_S` when it comes.
-
-    Attributes
-    ----------
-    received : int
-        Number of statuses.
-    dropped : int
-        How many of them were too old to be shown.
-    oldest_s : float
-        The greatest age that was shown without the red bar.
-    bars : int
-        How often the red bar came up.
-    bars_of_computer : int
-        How often the computer did not run this client meanwhile.
     """
 
     def __init__(self, lateness: Lateness) -> None:

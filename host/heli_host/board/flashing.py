@@ -48,22 +48,22 @@ if TYPE_CHECKING:
 
 # Memory of the SAM3X8E, as in firmware/due/due.ld.
 FLASH_START = 0x0008_0000
-CODE_MAX_BYTES = 512 * 1024 - 512
+_CODE_MAX_BYTES = 512 * 1024 - 512
 RAM_START = 0x2007_0000
-RAM_END = 0x2008_8000
+_RAM_END = 0x2008_8000
 VECTORS = 16 + 45
 ERASING_BAUD = 1200
 # When a control line changes at this rate, the ATmega16U2 holds ERASE and then RESET for 180 rounds
 # of 4.096 ms, 0.74 s (its published source). The loader in the chip needs a moment more.
 ERASE_S = 1.2
 # How long a lowered DTR is held, and how long a write to the chip's boot bit may take before the reset.
-PULSE_S = 0.05
-SETTLE_S = 0.1
+_PULSE_S = 0.05
+_SETTLE_S = 0.1
 # Reported to write and verify a Due that then does not start: BOSSA issue 125, platform-atmelsam issue 78.
 # Not checked here, for want of a board.
-DOUBTFUL_FROM = (1, 8)
+_DOUBTFUL_FROM = (1, 8)
 # 30 KiB at 115,200 baud take about 6 s, as 128-byte packets with an answer each perhaps three times that.
-WRITE_TIMEOUT_S = 180.0
+_WRITE_TIMEOUT_S = 180.0
 GET_BOSSAC = (
     "get version 1.7.0 with pio pkg install -g -t 'platformio/tool-bossac@~1.10700.0', "
     "or an Arduino IDE with the Due's boards installed"
@@ -101,9 +101,9 @@ def read_image(path: Path) -> FirmwareImage:
         )
     if content.startswith(b":") and content[1:9].isalnum():
         raise ImageError(f"{path} is an Intel HEX file", _BUILD)
-    if not VECTORS * 4 <= len(content) <= CODE_MAX_BYTES:
+    if not VECTORS * 4 <= len(content) <= _CODE_MAX_BYTES:
         raise ImageError(
-            f"{path} has {len(content)} bytes; an image for the Due has {VECTORS * 4} to {CODE_MAX_BYTES}",
+            f"{path} has {len(content)} bytes; an image for the Due has {VECTORS * 4} to {_CODE_MAX_BYTES}",
             _BUILD,
         )
     _check_vector_table(path, content)
@@ -120,7 +120,7 @@ def _check_vector_table(path: Path, content: bytes) -> None:
     """Refuse what the processor could not start: its first two words are stack and entry."""
     stack, *handlers = struct.unpack_from(f"<{VECTORS}I", content)
     code = range(FLASH_START, FLASH_START + len(content))
-    if not (RAM_START < stack <= RAM_END and stack % 4 == 0):
+    if not (RAM_START < stack <= _RAM_END and stack % 4 == 0):
         raise ImageError(f"{path} is not firmware for the Due: its stack is at {stack:#010x}", _BUILD)
     # Bit 0 of a vector says Thumb, which is all that this processor runs; 0 is a vector that is not used.
     if not (handlers[0] & 1 and handlers[0] - 1 in code):
@@ -154,11 +154,11 @@ def restart_chip(port: str) -> None:
     """Reset the Due behind its programming `port`, by the rising edge of DTR that its USB bridge waits for; a
     FlashError when it cannot be opened.
     """
-    time.sleep(SETTLE_S)
+    time.sleep(_SETTLE_S)
     try:
         with serial.Serial(port, BAUD) as touched:
             _set_dtr(touched, False)
-            time.sleep(PULSE_S)
+            time.sleep(_PULSE_S)
             _set_dtr(touched, True)
     except (serial.SerialException, OSError, ValueError) as error:
         raise FlashError(
@@ -254,7 +254,7 @@ class Bossac:
     def doubtful(self) -> bool:
         """Whether this version is reported to leave a Due that does not start."""
         numbers = tuple(int(number) for number in re.findall(r"\d+", self.version)[:2])
-        return numbers >= DOUBTFUL_FROM
+        return numbers >= _DOUBTFUL_FROM
 
     def arguments(self, port: str, image: Path) -> list[str]:
         """Command line that writes an `image` through the programming `port` and has the chip start from it;
@@ -327,7 +327,7 @@ def _port_name(port: str) -> str:
     return os.path.realpath(port).removeprefix("/dev/") if os.name == "posix" else port
 
 
-def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = WRITE_TIMEOUT_S) -> None:
+def write_image(bossac: Bossac, port: str, image: Path, timeout_s: float = _WRITE_TIMEOUT_S) -> None:
     """Write an image into an erased chip, verify it, and have the chip start from flash from now on."""
     try:
         process = subprocess.run(

@@ -38,10 +38,10 @@ from heli_host.data.log.writer import TickClock, json_bytes
 from heli_host.declaration import Channel
 
 HOST: Final = "127.0.0.1"
-LOCAL_NAMES: Final = frozenset(("127.0.0.1", "localhost", "::1"))
-VIEWERS: Final = ("https://app.foxglove.dev", "file://")
+_LOCAL_NAMES: Final = frozenset(("127.0.0.1", "localhost", "::1"))
+_VIEWERS: Final = ("https://app.foxglove.dev", "file://")
 """Origins of viewers that are web pages: Foxglove in the browser, and viewers that are installed."""
-MAX_VIEWERS: Final = 16
+_MAX_VIEWERS: Final = 16
 """Connections at a time. Each costs up to 4 MB of waiting messages."""
 SETTINGS, TICKS, EVENT = 1, 2, 3
 HEADER: Final = struct.Struct("<BI")
@@ -71,12 +71,12 @@ def is_permitted(head: bytes) -> bool:
         name, _, value = line.partition(":")
         headers.setdefault(name.strip().lower(), []).append(value.strip())
     hosts, origins = headers.get("host", []), headers.get("origin", [])
-    if len(hosts) != 1 or len(origins) > 1 or _name(f"//{hosts[0]}") not in LOCAL_NAMES:
+    if len(hosts) != 1 or len(origins) > 1 or _name(f"//{hosts[0]}") not in _LOCAL_NAMES:
         return False
-    return not origins or origins[0] in VIEWERS or _name(origins[0]) in LOCAL_NAMES
+    return not origins or origins[0] in _VIEWERS or _name(origins[0]) in _LOCAL_NAMES
 
 
-class ViewerGate:
+class _ViewerGate:
     """Accepts viewers in a thread of its own, and passes the permitted ones on."""
 
     def __init__(self, port: int, inner: tuple[str, int]) -> None:
@@ -108,7 +108,7 @@ class ViewerGate:
         inner_writer: asyncio.StreamWriter | None = None
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), _HEAD_S)
-            if len(self._viewers) > MAX_VIEWERS or not is_permitted(head):
+            if len(self._viewers) > _MAX_VIEWERS or not is_permitted(head):
                 writer.write(_REFUSED)
                 await writer.drain()
                 return
@@ -147,7 +147,7 @@ def _name(address: str) -> str:
         return ""
 
 
-class FoxgloveServer:
+class _FoxgloveServer:
     """Publishes ticks and events to all connected viewers, by the topics and layouts of the log.
 
     It advertises no capability: a client can neither publish nor call or set anything.
@@ -184,7 +184,7 @@ class FoxgloveServer:
             message_backlog_size=_BACKLOG,
         )
         try:
-            self._gate = ViewerGate(int(settings["port"]), (inner_host, self._server.port))
+            self._gate = _ViewerGate(int(settings["port"]), (inner_host, self._server.port))
         except OSError as error:
             self._server.stop()
             raise RuntimeError(error.strerror or str(error)) from error
@@ -263,7 +263,7 @@ def main() -> None:
     received = read_parts(sys.stdin.buffer)
     _, settings = next(received)
     try:
-        server = FoxgloveServer(json.loads(settings))
+        server = _FoxgloveServer(json.loads(settings))
     except (RuntimeError, ImportError) as error:
         _write_answer({"error": str(error)})
         return

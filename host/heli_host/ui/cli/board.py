@@ -69,11 +69,11 @@ def open_board(port: str | None, sil: str | None = None) -> Iterator[Heli]:
     url = sil if sil is not None else port
     assert url is not None
     with heli_host.connect(url) as heli:
-        say_migration(heli)
+        _say_migration(heli)
         yield heli
 
 
-def say_migration(heli: Heli) -> None:
+def _say_migration(heli: Heli) -> None:
     """Print a warning if the board's stored parameters are not all in force."""
     from heli_host.board.parameters import migration_text, read_origin
     from heli_host.ui.cli.say import say_progress

@@ -35,7 +35,7 @@ USERS_EXTRAS: Final[Mapping[str, str]] = {
 }
 """Extras that users choose, and their purpose. Other extras are for developers."""
 UDEV_FOLDERS = (Path("/etc/udev/rules.d"), Path("/run/udev/rules.d"), Path("/usr/lib/udev/rules.d"))
-UDEV_REMEDY = (
+_UDEV_REMEDY = (
     'echo \'ATTRS{idVendor}=="2341|2a03", ENV{ID_MM_DEVICE_IGNORE}="1"\' | '
     "sudo tee /etc/udev/rules.d/99-heli.rules; sudo udevadm control --reload; then plug the board in again"
 )
@@ -71,8 +71,8 @@ def examine() -> Iterator[Finding]:
     from heli_host.link.transport import available_ports
 
     ports = available_ports()
-    yield from check_boards(ports)
-    yield from check_permissions(ports)
+    yield from _check_boards(ports)
+    yield from _check_permissions(ports)
     dues = [port for port in ports if is_due(port)]
     yield check_modem_manager({port.vendor_id for port in dues if port.vendor_id is not None})
 
@@ -149,7 +149,7 @@ def _lists_package(names: Collection[str], package: str) -> bool:
     return package.partition(".")[0].lower() in {name.lower() for name in names}
 
 
-def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
+def _check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
     """Yield one finding per connected board, or a note if there is none."""
     boards = [port for port in ports if is_due(port)]
     for port in boards:
@@ -165,7 +165,7 @@ def check_boards(ports: list[PortInfo]) -> Iterator[Finding]:
         yield Finding(Verdict.NOTE, "no Due is plugged in: only the simulated board can fly")
 
 
-def check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
+def _check_permissions(ports: list[PortInfo]) -> Iterator[Finding]:
     """Check that this user may open the serial ports: bad for a Due that may not be opened, a note for any
     other port.
     """
@@ -197,7 +197,7 @@ def check_modem_manager(vendors: Collection[int]) -> Finding:
     if all(_udev_ignores(vendor) for vendor in vendors or ARDUINO_VIDS[:1]):
         return Finding(Verdict.GOOD, "ModemManager runs and is configured to ignore Arduinos")
     verdict = Verdict.BAD if vendors else Verdict.NOTE
-    return Finding(verdict, "ModemManager runs and may grab the board when it is plugged in", UDEV_REMEDY)
+    return Finding(verdict, "ModemManager runs and may grab the board when it is plugged in", _UDEV_REMEDY)
 
 
 def _process_runs(name: str) -> bool:

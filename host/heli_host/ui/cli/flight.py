@@ -60,8 +60,8 @@ if TYPE_CHECKING:
     from heli_host.fly.plan import Plan
     from heli_host.fly.runner import Progress
 
-DEFAULT_SEED: Final = 1
-VERB_NAME: Final = "heli-host fly"
+_DEFAULT_SEED: Final = 1
+_VERB_NAME: Final = "heli-host fly"
 """Value of ``flown_by`` in the log of a flight whose commands ``--again`` can repeat."""
 
 _FLY = "fly a plan instead, such as: heli-host fly hover --sil"
@@ -118,13 +118,22 @@ class FlightOptions:
         return sil_address(
             rig=self.rig,
             speed=self.speed,
-            seed=DEFAULT_SEED if self.seed is None else self.seed,
+            seed=_DEFAULT_SEED if self.seed is None else self.seed,
             board=self.board,
             elf=self.elf,
             model=self.model,
             effect=self.effect,
             effect_files=self.effect_file,
         )
+
+    def with_seed(self) -> FlightOptions:
+        """Return options that name a seed: a random one for a blind flight.
+
+        Otherwise a known seed lets a reader fly the same flight with each effect, and compare byte by byte.
+        """
+        if self.seed is not None:
+            return self
+        return replace(self, seed=secrets.randbelow(1 << 31) if self.blind else _DEFAULT_SEED)
 
     def simulation_settings(self, address: str, plans: Sequence[str]) -> dict[str, object]:
         """Return all settings of a simulated flight, for the truth file of a blind flight."""
@@ -182,7 +191,6 @@ def fly_plans(
     on_taken_off: Callable[[Heli], object] | None = None,
 ) -> FlownFlight:
     """Fly plans on the board that the options name; write log and figure. The caller writes the summary."""
-    from heli_host.board.parameters import load_gains
     from heli_host.data.log.blind import Truth, truth_path
     from heli_host.data.log.disk import check_new
     from heli_host.fly.runner import fly
@@ -193,9 +201,7 @@ def fly_plans(
     land_on_alarm = lands_on_alarm(options.twin, options.on_alarm)
     if options.blind and options.twin is not None:
         raise typer.BadParameter("--twin names what has changed; leave it out, or leave out --blind")
-    if options.seed is None:
-        # A known seed lets a reader fly the same flight with each effect, and compare byte by byte.
-        options = replace(options, seed=secrets.randbelow(1 << 31) if options.blind else DEFAULT_SEED)
+    options = options.with_seed()
     address = options.address()
     check_gains(options.gains, options.sil)
     parameters = (
@@ -216,12 +222,7 @@ def fly_plans(
     ):
         if feed is not None:
             say_progress(f"viewers: {feed.address}")
-        if options.clear_fault:
-            clear_latched_fault(heli)
-        load_gains(heli.params, options.gains)
-        if parameters:
-            heli.params.restore(parameters)
-        check_board_rig(heli, options.rig)
+        _set_up_board(heli, options, parameters)
         everything = log is None and json is None and figure is None
         folder = flight_folder() if log is None else log.parent
         log = log if log is not None else folder / "flight.mcap"
@@ -269,6 +270,18 @@ def fly_plans(
     return FlownFlight(summary, log, tuple(lines), json, figure)
 
 
+def _set_up_board(heli: Heli, options: FlightOptions, parameters: Mapping[str, float]) -> None:
+    """Bring the board into the state in which the flight begins, and compare it with the rig."""
+    from heli_host.board.parameters import load_gains
+
+    if options.clear_fault:
+        clear_latched_fault(heli)
+    load_gains(heli.params, options.gains)
+    if parameters:
+        heli.params.restore(parameters)
+    check_board_rig(heli, options.rig)
+
+
 def _setup_record(
     options: FlightOptions, parameters: Mapping[str, float], plans: Sequence[Plan]
 ) -> dict[str, str]:
@@ -276,7 +289,7 @@ def _setup_record(
     from heli_host.fly.recorder import plan_texts
 
     return {
-        "flown_by": VERB_NAME,
+        "flown_by": _VERB_NAME,
         "plans": json.dumps(list(plan_texts(plans))),
         "gains": options.gains or "",
         "parameters": json.dumps(dict(parameters)),
@@ -352,7 +365,7 @@ def _check_repeatable(log: Log, record: Mapping[str, str]) -> None:
                 f"{log.path} lacks rig, effects and seed, because an older heli-host wrote it", _FLY
             )
         raise LogError(f"{log.path} is a flight of a real board; --again repeats simulations only", _FLY)
-    if record.get("flown_by") != VERB_NAME:
+    if record.get("flown_by") != _VERB_NAME:
         raise LogError(
             f"{log.path} lacks the commands before the flight, because another command than heli-host fly "
             "wrote it",

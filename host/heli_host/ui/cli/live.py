@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from heli_host.board.samples import Sample
     from heli_host.link.telemetry import LinkCounters
 
-LINE_EVERY_S = 5.0
+_LINE_EVERY_S = 5.0
 """Interval between lines, if the output goes to a file or another program."""
 REFRESH_S = 0.25
 """Interval between updates on a terminal; four per second cost about 1 % of a core."""
@@ -126,7 +126,7 @@ class LiveLine:
 
     def __init__(self, is_terminal: bool | None = None) -> None:
         self._quiet = QUIET.get()
-        self._display = LiveDisplay(LINE_EVERY_S, False if self._quiet else is_terminal)
+        self._display = LiveDisplay(_LINE_EVERY_S, False if self._quiet else is_terminal)
 
     def __enter__(self) -> Self:
         self._display.__enter__()
@@ -152,7 +152,7 @@ class LiveLine:
         if self._display.is_terminal:
             self._display.replace(head, numbers_table(sample), f"link: {link}")
         else:
-            self._display.print_line(f"{head} | {angles_text(sample)} | {link}")
+            self._display.print_line(f"{head} | {_angles_text(sample)} | {link}")
 
     def say(self, text: str) -> None:
         """Print a line of `text` that stays, above the live one."""
@@ -169,12 +169,8 @@ def heading(sample: Sample, t_s: float, phase: str, left_s: float | None) -> str
     return "  ".join(parts)
 
 
-def angles_text(sample: Sample) -> str:
+def _angles_text(sample: Sample) -> str:
     """Return the three angles, each with its setpoint, such as ``"elevation +4.9 (+5.0)  pitch ... deg"``."""
-    from math import degrees
-
-    from heli_host.declaration import AXES
-
     pairs = [(getattr(sample, f"{axis}_rad"), getattr(sample, f"{axis}_setpoint_rad")) for axis in AXES]
     angles = "  ".join(
         f"{axis} {degrees(angle_rad):+6.1f} ({degrees(goal_rad):+6.1f})"
@@ -234,7 +230,7 @@ class WorkBar:
             self._bar.update(self._bar.task_ids[0], description=printable(stage), completed=done)
             return
         now_s = time.monotonic()
-        if now_s - self._shown_s >= LINE_EVERY_S:
+        if now_s - self._shown_s >= _LINE_EVERY_S:
             self._shown_s = now_s
             line = f"{stage}: {100 * done:.0f} %"
             # The first steps do not yet show how long the rest takes.

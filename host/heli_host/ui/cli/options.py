@@ -184,7 +184,7 @@ ParamsFileOption = Annotated[
         help="Fly with the parameters of this file, and do not save them.",
     ),
 ]
-FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
+_FIGURE_ENDS: Final = (".png", ".pdf", ".svg")
 
 
 def flight_folder(base: Path = Path("flights")) -> Path:
@@ -375,9 +375,9 @@ def check_parameters_place(path: Path | None) -> None:
 
 def check_result_places(*files: Path | None, figure: Path | None = None, report: Path | None = None) -> None:
     """Refuse places that the results of long work cannot be written to, before the work begins."""
-    if figure is not None and figure.suffix.lower() not in FIGURE_ENDS:
+    if figure is not None and figure.suffix.lower() not in _FIGURE_ENDS:
         raise typer.BadParameter(
-            f"--figure {figure} has an unknown format; give a file that ends in {', '.join(FIGURE_ENDS)}"
+            f"--figure {figure} has an unknown format; give a file that ends in {', '.join(_FIGURE_ENDS)}"
         )
     for target in (*files, figure):
         if target is not None and str(target) != STDOUT:

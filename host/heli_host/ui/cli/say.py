@@ -27,8 +27,6 @@ def say(*lines: str) -> None:
     """Print `lines`, each with its control characters as escapes; to standard error where standard output is
     for data.
     """
-    from heli_host.errors import printable
-
     stream = sys.stderr if DATA_ONLY.get() else sys.stdout
     for line in lines:
         print(printable(line), file=stream)
@@ -37,8 +35,6 @@ def say(*lines: str) -> None:
 
 def say_error(*lines: str) -> None:
     """Print `lines` to standard error, where they are not mixed with data."""
-    from heli_host.errors import printable
-
     for line in lines:
         print(printable(line), file=sys.stderr)
 

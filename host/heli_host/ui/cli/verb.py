@@ -24,7 +24,7 @@ from heli_host.link.installation import plugins
 
 ENTRY_POINT_GROUP: Final = "heli_host.verbs"
 DISTRIBUTION: Final = "heli-host"
-PANELS: Final = ("Fly", "Board", "Logs", "Simulation", "Laboratory")
+_PANELS: Final = ("Fly", "Board", "Logs", "Simulation", "Laboratory")
 """Headings of ``--help``, in this order; others come after them."""
 
 
@@ -36,7 +36,7 @@ class Verb:
     """A function whose signature holds options as typer reads them, or several under one name."""
     panel: str  # Heading of ``--help`` that lists the verb
     variadic: bool = False
-    """Whether its repeatable options take several words each, see `Variadic`; functions only."""
+    """Whether its repeatable options take several words each, see `_Variadic`; functions only."""
     aliases: tuple[str, ...] = ()  # Other names, which ``--help`` does not list; functions only
 
     def add_to(self, app: typer.Typer, name: str) -> None:
@@ -44,7 +44,7 @@ class Verb:
         if isinstance(self.command, typer.Typer):
             app.add_typer(self.command, name=name, rich_help_panel=self.panel)
         elif self.variadic:
-            app.command(name, cls=Variadic, rich_help_panel=self.panel)(self.command)
+            app.command(name, cls=_Variadic, rich_help_panel=self.panel)(self.command)
         else:
             app.command(name, rich_help_panel=self.panel)(self.command)
             for alias in self.aliases:
@@ -65,7 +65,7 @@ def installed_verbs() -> dict[str, Verb]:
         except Exception as error:  # noqa: BLE001  -- whatever a stranger's package raises when it is imported
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             _warn(f"the verbs of {entry.value} do not load ({reason})")
-    rank = {panel: index for index, panel in enumerate(PANELS)}
+    rank = {panel: index for index, panel in enumerate(_PANELS)}
     return dict(sorted(verbs.items(), key=lambda item: (rank.get(item[1].panel, len(rank)), item[0])))
 
 
@@ -141,7 +141,7 @@ def _options_of_dataclass(group: type[Any]) -> list[inspect.Parameter]:
     ]
 
 
-class Variadic(TyperCommand):
+class _Variadic(TyperCommand):
     """A verb whose repeatable options take all words up to the next option.
 
     Without this, a second file behind ``--validate`` would be taken for one more flight to fit, without

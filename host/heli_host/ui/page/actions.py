@@ -54,7 +54,7 @@ class FlightRequests:
         self._law = law
         self._recording = recording
         self._pilot = pilot
-        self._flight: PlanFlight | None = None
+        self._flight: _PlanFlight | None = None
 
     @property
     def flies_plan(self) -> bool:
@@ -88,7 +88,7 @@ class FlightRequests:
         if self._heli.state is not State.IDLE:
             raise SetpointError("a plan starts only from the table, with the motors off", "land first")
         plans = [self.plans[name] for name in names]
-        flight = PlanFlight(self._heli, plans, self._law.engage)
+        flight = _PlanFlight(self._heli, plans, self._law.engage)
         begins_recording = self._recording.recorder is None
         if begins_recording:
             self._recording.begin(plans, flight.duration_s)
@@ -147,7 +147,7 @@ class FlightRequests:
             self.doing = ""
 
 
-class PlanFlight:
+class _PlanFlight:
     """Plans that were checked against a board and can be flown once."""
 
     def __init__(

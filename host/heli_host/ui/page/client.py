@@ -27,7 +27,7 @@ from heli_host.ui.page.requests import LONGEST_REQUEST
 from heli_host.ui.page.source import KEPT_S, finite
 from heli_host.ui.page.telemetry import RESET, TelemetryBuffer, unpack
 
-SCHEME: Final = "page://"
+_SCHEME: Final = "page://"
 
 _REQUESTS_PER_S = MESSAGES_PER_S / 2
 """Requests that a program sends per second [1/s]: the server disconnects faster ones. The other half is for
@@ -282,7 +282,7 @@ def join(address: str) -> PageClient:
     try:
         url = urlsplit(address)
         token = parse_qs(url.query).get("token", [""])[0]
-        is_address = address.startswith((SCHEME, "http://")) and url.hostname and url.port != 0 and token
+        is_address = address.startswith((_SCHEME, "http://")) and url.hostname and url.port != 0 and token
     # urlsplit raises ValueError for an unbalanced bracket, and for a port above 65535.
     except ValueError:
         is_address = False

@@ -30,13 +30,13 @@ flight; with a longer one, a frozen page would keep the board flying for longer.
 ABSENT_S = 3.0
 """Absence of the pilot after which another client gets control without the pilot's answer [s]. Shorter: a
 page that is reloaded loses control. Longer: a dead page keeps control."""
-FRAME_S = 0.05
+_FRAME_S = 0.05
 """Interval between two frames to a client [s]: 20 frames per second look smooth."""
-MAX_MESSAGE_ROWS = 5000
+_MAX_MESSAGE_ROWS = 5000
 """Greatest number of rows in a frame. A client more than 5 s behind gets every second, third, ... row."""
-UNACKNOWLEDGED = 8
+_UNACKNOWLEDGED = 8
 """Greatest number of unacknowledged frames, 0.4 s. No more are sent until the client acknowledges."""
-EMPTY_S = 0.08
+_EMPTY_S = 0.08
 """Longest time without a frame to a client that acknowledges [s]."""
 
 _QUEUED = 500
@@ -45,9 +45,8 @@ _QUEUED = 500
 @dataclass
 class _Client:
     name: str
-    may_fly: bool
     connected: bool
-    beat_s: float
+    beat_s: float  # Time of its last sign of life
 
 
 class ControlLease:
@@ -69,7 +68,7 @@ class ControlLease:
             registered = self._clients.get(client)
             if registered is not None and registered.connected:
                 return False
-            self._clients[client] = _Client(name, may_fly, True, now_s)
+            self._clients[client] = _Client(name, True, now_s)
             if self.pilot is None and may_fly:
                 self.pilot = client
             return True
@@ -213,18 +212,18 @@ class Outbox:
         self.sent = 1
         await self.socket.send_bytes(pack(NO_ROWS, self.sent, source.state()))
         while True:
-            while self.acknowledged == 0 or self.sent - self.acknowledged >= UNACKNOWLEDGED:
+            while self.acknowledged == 0 or self.sent - self.acknowledged >= _UNACKNOWLEDGED:
                 self.may_send.clear()
                 await self.may_send.wait()
-            cut = source.buffer.rows_since(position, MAX_MESSAGE_ROWS)
+            cut = source.buffer.rows_since(position, _MAX_MESSAGE_ROWS)
             now_s = time.monotonic()
             # Without rows, an empty frame asks the client for its sign of life, so that a silent board does
             # not make the pilot look absent.
-            if len(cut.tick) or now_s - sent_s >= EMPTY_S:
+            if len(cut.tick) or now_s - sent_s >= _EMPTY_S:
                 self.sent, sent_s = self.sent + 1, now_s
                 await self.socket.send_bytes(pack(cut, self.sent, source.state()))
                 position = cut.end
-            await asyncio.sleep(FRAME_S)
+            await asyncio.sleep(_FRAME_S)
 
 
 class Broadcast:

@@ -26,25 +26,25 @@ from heli_host.errors import HeliError
 from heli_host.ui.page.guard import POLICY_VIOLATION, Guard, Meter, Notes, RateLimit
 from heli_host.ui.page.source import Source
 
-HandOver = Callable[[socket.socket, bytes], bool]
+_HandOver = Callable[[socket.socket, bytes], bool]
 """Passes a connection on, with the bytes that were read from it; False if there is no room."""
-REQUESTS_PER_S: Final = 100.0
+_REQUESTS_PER_S: Final = 100.0
 """New connections that are passed on per second [1/s]; more are refused. A page needs about 20."""
-REQUEST_BURST: Final = 400.0
+_REQUEST_BURST: Final = 400.0
 """New connections that are passed on together, after a pause: twenty pages that are opened together."""
-CLIENTS_PER_S: Final = 10.0
+_CLIENTS_PER_S: Final = 10.0
 """New clients (WebSockets) that are passed on per second [1/s]; more are refused. Each costs the server about
 1 ms. Higher: clients that connect again and again keep the server busy."""
-CLIENT_BURST: Final = 60.0
+_CLIENT_BURST: Final = 60.0
 """New clients that are passed on together, after a pause: two for each of thirty students."""
 MAX_ARRIVALS: Final = 128
 """Connections whose request is incomplete. A new one ends the oldest: clients that send nothing must not
 keep others out."""
-MAX_STOP_SOCKETS: Final = 256
+_MAX_STOP_SOCKETS: Final = 256
 """Open sockets for the stop. A new one ends the one that was silent for longest."""
-STOPS_PER_S: Final = 20.0
+_STOPS_PER_S: Final = 20.0
 """Stops that a client may send per second over a socket [1/s]; more end the connection, after a stop."""
-STOP_BURST: Final = 50.0
+_STOP_BURST: Final = 50.0
 
 _BACKLOG = 128
 _LONGEST_HEAD_BYTES = 16384
@@ -77,16 +77,16 @@ class Gate:
     """
 
     def __init__(
-        self, listening: socket.socket, stop: StopEndpoint, hand_over: HandOver, notes: Notes
+        self, listening: socket.socket, stop: StopEndpoint, hand_over: _HandOver, notes: Notes
     ) -> None:
         self._listening = listening
         self._stop = stop
         self._hand_over = hand_over
         self._notes = notes
-        self._requests = RateLimit(REQUESTS_PER_S, REQUEST_BURST)
-        self._clients = RateLimit(CLIENTS_PER_S, CLIENT_BURST)
+        self._requests = RateLimit(_REQUESTS_PER_S, _REQUEST_BURST)
+        self._clients = RateLimit(_CLIENTS_PER_S, _CLIENT_BURST)
         self._arrivals: dict[socket.socket, _Arrival] = {}
-        self._stop_sockets: dict[socket.socket, StopSocket] = {}
+        self._stop_sockets: dict[socket.socket, _StopSocket] = {}
         self._selector = selectors.DefaultSelector()
         self._wake, self._woken = socket.socketpair()
         self._thread = threading.Thread(target=self._run, name="heli-host stop", daemon=True)
@@ -173,7 +173,7 @@ class Gate:
         if not data:
             connection.close()
         elif b"\r\n\r\n" not in arrival.head:
-            send_response(connection, PlainTextResponse("the request is too long\n", 431))
+            _send_response(connection, PlainTextResponse("the request is too long\n", 431))
         else:
             self._route(connection, arrival.head)
 
@@ -183,7 +183,7 @@ class Gate:
             opened = self._stop.open(connection, head)
             if opened is None:
                 return
-            if len(self._stop_sockets) >= MAX_STOP_SOCKETS:
+            if len(self._stop_sockets) >= _MAX_STOP_SOCKETS:
                 self._drop_oldest(self._stop_sockets)
             self._stop_sockets[connection] = opened
             self._selector.register(connection, selectors.EVENT_READ)
@@ -191,7 +191,7 @@ class Gate:
         limit = self._clients if target.startswith(_CLIENT_PATHS) else self._requests
         if not limit.take() or not self._hand_over(connection, head):
             self._notes.warn("connections are refused, because there are too many")
-            send_response(connection, PlainTextResponse("too many connections; try again later\n", 503))
+            _send_response(connection, PlainTextResponse("too many connections; try again later\n", 503))
 
     def _drop_late_arrivals(self) -> None:
         """End connections that did not send a request in time; the oldest come first."""
@@ -200,7 +200,7 @@ class Gate:
             self._drop_oldest(self._arrivals)
 
     def _drop_oldest(
-        self, connections: dict[socket.socket, _Arrival] | dict[socket.socket, StopSocket]
+        self, connections: dict[socket.socket, _Arrival] | dict[socket.socket, _StopSocket]
     ) -> bool:
         """End the first connection of a table, if there is any."""
         oldest = next(iter(connections), None)
@@ -233,7 +233,7 @@ class StopEndpoint:
         self._guard = guard
         self._notes = notes
 
-    def open(self, connection: socket.socket, head: bytes) -> StopSocket | None:
+    def open(self, connection: socket.socket, head: bytes) -> _StopSocket | None:
         """Serve a request for ``/stop``.
 
         A POST is answered, and its connection is closed.
@@ -246,12 +246,12 @@ class StopEndpoint:
         elif (
             refusal is None and method == "GET" and request.headers.get("upgrade", "").lower() == "websocket"
         ):
-            opened = StopSocket(connection, lambda: stop_motors(self._source, self._notes))
+            opened = _StopSocket(connection, lambda: stop_motors(self._source, self._notes))
             if opened.begin(head):
                 return opened
             connection.close()
             return None
-        send_response(connection, refusal or PlainTextResponse("stop by POST, or by a WebSocket\n", 405))
+        _send_response(connection, refusal or PlainTextResponse("stop by POST, or by a WebSocket\n", 405))
         return None
 
 
@@ -267,14 +267,14 @@ def stop_motors(source: Source, notes: Notes) -> str:
     return ""
 
 
-class StopSocket:
+class _StopSocket:
     """One open WebSocket for the stop."""
 
     def __init__(self, connection: socket.socket, stop: Callable[[], str]) -> None:
         self.connection = connection
         self._stop = stop
         self._protocol = ServerProtocol(max_size=_LONGEST_STOP_BYTES)
-        self._meter = Meter(STOPS_PER_S, STOP_BURST)
+        self._meter = Meter(_STOPS_PER_S, _STOP_BURST)
 
     def begin(self, head: bytes) -> bool:
         """Answer the request that opens the socket; False if it is invalid."""
@@ -327,7 +327,7 @@ class StopSocket:
         return is_sent and self._protocol.state is State.OPEN
 
 
-def send_response(connection: socket.socket, response: Response) -> None:
+def _send_response(connection: socket.socket, response: Response) -> None:
     """Send a short response without waiting, and close the connection."""
     code, body = response.status_code, bytes(response.body)
     head = (

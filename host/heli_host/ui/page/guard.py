@@ -27,11 +27,11 @@ MESSAGES_PER_S: Final = 100.0
 
 A page sends 30 per second: 20 acknowledgements of frames and 10 signs of life; a stick or slider adds 20.
 Below that, a page would be disconnected. Above 300, sixty clients keep the server's thread busy."""
-MESSAGE_BURST: Final = 100.0
+_MESSAGE_BURST: Final = 100.0
 """Messages that a client may send together after a pause."""
-BYTES_PER_S: Final = 131_072.0
+_BYTES_PER_S: Final = 131_072.0
 """Bytes that a client may send per second [B/s]: 32 requests of the greatest length."""
-BYTE_BURST: Final = 262_144.0
+_BYTE_BURST: Final = 262_144.0
 """Bytes that a client may send together after a pause [B]. It must exceed the greatest WebSocket message,
 65,536 bytes, because a single message must never exceed the limit."""
 WATCHERS_PER_S: Final = 200.0
@@ -105,12 +105,12 @@ class Meter:
     def __init__(
         self,
         messages_per_s: float = MESSAGES_PER_S,
-        message_burst: float = MESSAGE_BURST,
+        message_burst: float = _MESSAGE_BURST,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._frames = FrameCounter()
         self._messages = RateLimit(messages_per_s, message_burst, clock)
-        self._bytes = RateLimit(BYTES_PER_S, BYTE_BURST, clock)
+        self._bytes = RateLimit(_BYTES_PER_S, _BYTE_BURST, clock)
         self._messages_per_s = messages_per_s
 
     def excess(self, data: bytes) -> str:
@@ -118,7 +118,7 @@ class Meter:
         limits.
         """
         if not self._bytes.take(len(data)):
-            return f"more than {BYTES_PER_S / 1024:g} KiB per second; send less"
+            return f"more than {_BYTES_PER_S / 1024:g} KiB per second; send less"
         if not self._messages.take(self._frames.count(data, self._messages.available())):
             return f"more than {self._messages_per_s:g} messages per second; send fewer"
         return ""

@@ -79,7 +79,7 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
     """
     guard, notes = Guard(token or new_token(), host), Notes()
     listening = _open_socket(host, port)
-    server = PageServer(Service(source, guard, notes).application())
+    server = _PageServer(Service(source, guard, notes).application())
     gate = Gate(listening, StopEndpoint(source, guard, notes), server.take, notes)
     thread = threading.Thread(target=server.run, kwargs={"sockets": []}, name="heli-host page", daemon=True)
     before_s = sys.getswitchinterval()
@@ -125,7 +125,7 @@ def _open_socket(host: str, port: int) -> socket.socket:
     return listening
 
 
-class PageServer(uvicorn.Server):
+class _PageServer(uvicorn.Server):
     """Serves an ASGI application to connections that another thread accepts."""
 
     def __init__(self, application: ASGIApp) -> None:
@@ -136,7 +136,7 @@ class PageServer(uvicorn.Server):
                 access_log=False,
                 lifespan="on",
                 http=H11Protocol,
-                ws=MeteredWebSocket,
+                ws=_MeteredWebSocket,
                 ws_max_size=_LONGEST_MESSAGE_BYTES,
                 ws_per_message_deflate=False,
                 timeout_graceful_shutdown=1,
@@ -191,7 +191,7 @@ class _AcceptedConnection(H11Protocol):
         return True
 
 
-class MeteredWebSocket(WebSocketsSansIOProtocol):
+class _MeteredWebSocket(WebSocketsSansIOProtocol):
     """A client's WebSocket, which is closed as soon as the client sends more than `Meter` allows.
 
     The bytes that exceed the limit are neither decoded nor queued, and messages that still wait are dropped.

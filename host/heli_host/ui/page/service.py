@@ -31,8 +31,8 @@ from heli_host.ui.page.guard import POLICY_VIOLATION, WATCHERS_PER_S, Guard, Not
 from heli_host.ui.page.requests import RequestDispatcher
 from heli_host.ui.page.source import Source
 
-STATUS_S = 0.1
-PRESENCE_S = 0.2
+_STATUS_S = 0.1
+_PRESENCE_S = 0.2
 """Interval at which an unchanged status is sent again [s]. A page warns when its status is older than 0.6 s.
 Longer: a briefly busy server raises that warning. Shorter: costs processor time."""
 
@@ -208,9 +208,9 @@ class Service:
         self.lease.beat(client.key, time.monotonic())
 
     async def _send_status_when_changed(self) -> None:
-        """Send the status when it has changed, and every `PRESENCE_S` even if it has not."""
+        """Send the status when it has changed, and every `_PRESENCE_S` even if it has not."""
         while True:
-            await asyncio.sleep(STATUS_S)
+            await asyncio.sleep(_STATUS_S)
             try:
                 self._send_if_changed()
             except Exception as error:  # noqa: BLE001 - without this task every page would show an old status
@@ -225,7 +225,7 @@ class Service:
             self._broadcast.tell_all(lease)
         status = self._source.status()
         differs = {**status, "link": None} != {**self._status, "link": None}
-        if differs or now_s - self._status_s >= PRESENCE_S:
+        if differs or now_s - self._status_s >= _PRESENCE_S:
             self._status, self._status_s = status, now_s
             self._broadcast.tell_all({"status": _with_time(status)})
 

@@ -23,7 +23,7 @@ KEPT_S = 600.0
 UNKNOWN = (255, 0)
 """State and fault that mean "no telemetry"; 255 is not the number of a supervisor state."""
 News = Callable[[Mapping[str, Any]], None]
-STATE_WORDS: dict[State, str] = {
+_STATE_WORDS: dict[State, str] = {
     State.IDLE: "Motors are off. Take off, or start a plan.",
     State.ARMED: "The drivers are on, at zero voltage.",
     State.CLOSED_LOOP: "It flies: the loops follow the setpoint.",
@@ -244,7 +244,7 @@ def _parameter_row(spec: ParamSpec) -> dict[str, Any]:
     }
 
 
-def state_rows(words: Mapping[State, str] = STATE_WORDS) -> dict[int, dict[str, str]]:
+def state_rows(words: Mapping[State, str] = _STATE_WORDS) -> dict[int, dict[str, str]]:
     """Return for each supervisor state, by number, its name and one sentence for the operator."""
     return {int(state): {"name": state.name.lower(), "words": words[state]} for state in State}
 

@@ -33,10 +33,10 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 
-NameArgument = Annotated[
+_NameArgument = Annotated[
     str, typer.Argument(metavar="NAME", help="Use this parameter, as params list names it.")
 ]
-SaveOption = Annotated[bool, typer.Option("--save", help="Write all parameters to the board's flash too.")]
+_SaveOption = Annotated[bool, typer.Option("--save", help="Write all parameters to the board's flash too.")]
 
 
 @app.command("list")
@@ -130,7 +130,9 @@ def _limits_text(spec: ParamSpec) -> str:
 
 
 @app.command("get")
-def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, json: JsonOption = None) -> None:
+def get(
+    name: _NameArgument, port: PortOption = None, sil: SilOption = False, json: JsonOption = None
+) -> None:
     """Print the value of one parameter.
 
     Prints the value in the board's memory. Nothing is changed.
@@ -147,9 +149,9 @@ def get(name: NameArgument, port: PortOption = None, sil: SilOption = False, jso
 
 @app.command("set", context_settings={"ignore_unknown_options": True})
 def set_parameter(
-    name: NameArgument,
+    name: _NameArgument,
     value: Annotated[float, typer.Argument(metavar="VALUE", help="Set this value, in the parameter's unit.")],
-    save: SaveOption = False,
+    save: _SaveOption = False,
     port: PortOption = None,
     sil: SilOption = False,
     json: JsonOption = None,
@@ -220,7 +222,7 @@ def dump(
 @app.command("restore")
 def restore(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Read the parameters from this TOML file.")],
-    save: SaveOption = False,
+    save: _SaveOption = False,
     port: PortOption = None,
     sil: SilOption = False,
     json: JsonOption = None,
