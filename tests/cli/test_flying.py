@@ -266,9 +266,10 @@ def test_an_effect_changes_the_flight_and_the_seed_its_chance(terminal: Terminal
         "other": (*gusts, "--seed", "2"),
     }
     angles = {}
+    (tmp_path / "short.toml").write_text(PLAN)
     for name, options in flights.items():
         log = tmp_path / f"{name}.mcap"
-        assert terminal("fly", "hover", *SIL, *options, "--log", log).code == 0
+        assert terminal("fly", "short.toml", *SIL, *options, "--log", log).code == 0
         angles[name] = read_flight(log).angles_rad
     rows = min(len(samples) for samples in angles.values())
     np.testing.assert_array_equal(angles["gusts"], angles["again"])
