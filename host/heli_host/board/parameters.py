@@ -1,4 +1,4 @@
-"""The board's parameters, by name."""
+"""The board's parameters: by name, as files, their origin after an update, and the gains of the paper."""
 
 from __future__ import annotations
 

@@ -1,6 +1,9 @@
-"""Reading of files from other people, within bounds, and strings for files of our own.
+"""Files and programs of other people within bounds, and files of our own: complete or not at all.
 
-The functions refuse pipes, files above a given size, and TOML that would exhaust the parser.
+Reading refuses pipes, files above a given size, and TOML that would exhaust the parser. Writing replaces a
+file only if the program itself wrote it, or with ``--force``. The program recognises its files by their
+content. A text that people may edit ends with a line that holds the digest of the text before it: an edited
+file is not the program's file any more.
 """
 
 from __future__ import annotations

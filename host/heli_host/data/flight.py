@@ -1,4 +1,12 @@
-"""A flight as arrays, and the checks that it must pass; see the README in this folder."""
+"""A flight as arrays: the input of every analysis, with its views and the checks that it must pass.
+
+This module imports nothing of ports, boards, sessions or files. Therefore programs that only analyse flights
+(identification, reports) may import it alone. `heli_host.data.log` reads and writes flights.
+
+Convention of time: row ``k`` holds the angles read at ``t_s[k]`` and the voltages that act from ``t_s[k]``
+until ``t_s[k + 1]``. The board's telemetry has the same order: in one tick it reads the counts, then computes
+the voltages that it holds until the next.
+"""
 
 from __future__ import annotations
 

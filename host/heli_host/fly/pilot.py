@@ -1,4 +1,9 @@
-"""Device time of a flight, from the newest sample."""
+"""Flies a route: a setpoint every 20 ms of device time, commands when they are due, and a landing at the end.
+
+Setpoints go out from the callback that brings the samples, so they follow the device's time and not the
+host's, at any speed of a simulation. Commands, which wait for an answer, go out from the thread that called
+`Pilot.fly`. In lockstep both are the same thread, and the flight is the same every time.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,27 @@
-"""Limits of a board for a plan, computed from its parameters."""
+"""Flight plans: TOML in, setpoints as functions of time out; everything is checked before anything moves.
+
+::
+
+    title = "Travel step"
+    [start]                      # where take-off ends; all of it may be left out
+    elevation_deg = 0
+    rate_deg_s = 8               # how fast the elevation setpoint rises from the table
+    settle_s = 4                 # wait there before the first segment
+
+    [tolerance]                  # farther from its setpoint for longer, and the flight was not tracked
+    elevation_deg = 3
+
+    [[segment]]
+    kind = "hold"                # hold, step, ramp, sine, waypoints, excite, land
+    duration_s = 5
+    [[segment]]
+    kind = "step"
+    travel_deg = 15
+    duration_s = 12
+
+A plan closes all axes unless ``axes = ["elevation", "pitch"]`` leaves travel free; only then ``pitch_deg`` is
+taken. Setpoints are continuous from segment to segment, steps excepted; every plan ends in a landing.
+"""
 
 from __future__ import annotations
 

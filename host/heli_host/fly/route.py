@@ -1,4 +1,4 @@
-"""Reading one table of a plan: known keys only, units in their names, numbers that are numbers."""
+"""Routes: the segments of a plan, and its setpoints as functions of time."""
 
 from __future__ import annotations
 

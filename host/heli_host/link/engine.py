@@ -1,4 +1,9 @@
-"""A command in progress: sent, repeated with the same number until the answer comes, or given up."""
+"""The protocol of a session, without input and output: it consumes received bytes and returns frames to send.
+
+It uses no thread, no clock and no port: `heli_host.link.session.Driver` passes received bytes and the time,
+and sends the bytes that `Engine.outgoing` returns. Therefore a session over a port, with a thread, and one in
+lockstep with a simulation run the same protocol.
+"""
 
 from __future__ import annotations
 

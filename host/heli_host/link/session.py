@@ -1,4 +1,9 @@
-"""The callbacks to which a session delivers samples, events and status, and the errors of these callbacks."""
+"""A session with one board: handshake, commands, streams, samples, events, reconnect.
+
+The protocol (`heli_host.link.engine`) runs in one of two ways. Over a port, a background thread reads all the
+time and calls of the user wait for it. In lockstep with a simulation there is no thread: a waiting call reads
+bytes itself, and only that makes simulated time pass. The same calls then give the same bytes every time.
+"""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
-"""Unpacking of telemetry batches to ticks, many batches in one operation.
+"""Telemetry: batches of bytes become accepted ticks, losses are counted, and lost events are reconstructed.
 
-A batch contains a base value of each channel, then the differences (deltas) from tick to tick. The deltas of
-one channel are 0, 2, 4, 8, 16 or 32 bits wide. Each delta is within the four bytes that begin at its first
-byte, which form a word. Any number of batches can therefore be unpacked in four steps: gather the words,
-shift them left to remove higher bits, shift them right to extend the sign, and sum up along time. Finally the
-sign extension of unsigned channels is removed.
+Many batches are unpacked in one operation. The board sends each event once. Telemetry carries state, fault
+and trigger with every tick, so the next batch shows what a lost event would have said. The board sends an
+event before the batch with its tick: an event that has not arrived before that batch is lost.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables as lines of text."""
+"""Comparison of several flights on one page: overlaid angles, and a table of tracking quality."""
 
 from __future__ import annotations
 

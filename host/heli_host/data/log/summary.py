@@ -1,4 +1,10 @@
-"""Checks of a finished flight against its rig, by other installed packages.
+"""Summary of a flight, used by ``summary.json``, the figure and the last lines printed; contradictions to its
+rig.
+
+The tracking error of a tick is the measured angle minus the setpoint that the control law used in that tick
+(after the board's slew limit). It counts from the end of take-off until landing begins. Only ticks in closed
+loop count; if a law on the host flew, it must have published its setpoints. Pitch is compared with the
+setpoint that the travel loop requests. In a log without phases, of a flight by hand, all such ticks count.
 
 This package contains no models. A package that does offers a function in the entry-point group
 ``heli_host.flight_checks``, which takes a flight and the name or file of its rig and returns findings.

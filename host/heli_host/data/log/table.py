@@ -1,8 +1,4 @@
-"""Write flights as tables, .csv or .csv.gz, and read them.
-
-The table has a header line and numbers only, so that every program reads it without options. Notes such as
-parameters, plan and events are in a text file next to it. Older tables hold them in lines that begin with #.
-"""
+"""Flights as tables, .csv or .csv.gz, written and read; flights for MATLAB and as Parquet."""
 
 from __future__ import annotations
 

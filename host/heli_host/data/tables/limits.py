@@ -1,4 +1,4 @@
-"""Limits for the unpacked size of foreign files, because a small file can unpack to any size."""
+"""Limits for foreign files: a small file can unpack to any size, so the size is computed first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parquet and spreadsheets, by pandas."""
+"""A table from any file that may hold a flight; reads Parquet, spreadsheets, MCAP files and bags of ROS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Content of a file from another program: named columns of numbers, whose meaning is not yet known."""
+"""Content of a file from another program: named columns of numbers, their units, and times."""
 
 from __future__ import annotations
 
