@@ -24,9 +24,8 @@ from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.tests.small_split import make
 from tests.campaign.killer import Cluster, free_port
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs" / "validation" / "benchmark.md"
-METHODS = ROOT / "sim" / "heli_benchmark" / "methods"
 
 
 @pytest.mark.slow
