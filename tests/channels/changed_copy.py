@@ -9,7 +9,8 @@ import sys
 import sysconfig
 from pathlib import Path
 
-from heli_lab.fit import _expression_vm, _kalman
+from heli_lab.fit import _kalman
+from heli_sim.evaluate import _expression_vm
 
 ROOT = Path(__file__).resolve().parents[2]
 CHANNEL = """\

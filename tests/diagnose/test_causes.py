@@ -19,7 +19,6 @@ from heli_lab.explain.contributions import accelerations
 from heli_lab.explain.prediction import compare_free_runs
 from heli_lab.fit import _kalman
 from heli_lab.fit.identification import Trace, trace
-from heli_lab.fit.model_functions import AlongTrajectory, Trajectory
 from heli_lab.fit.problem import Fit
 from heli_lab.report.diagnosis import figures
 from heli_lab.report.diagnosis.figures import (
@@ -31,6 +30,7 @@ from heli_lab.report.diagnosis.figures import (
 from heli_lab.report.diagnosis.page import missing_terms, regions_section, write_report
 from heli_lab.report.diagnosis.text import cautions, title
 from heli_lab.report.identification_page import identification_figure
+from heli_sim.evaluate.trajectories import AlongTrajectory, Trajectory
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import catalogue, effects_of
 from heli_sim.rig import load_rig, write_rig

@@ -8,13 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from heli_lab.fit import _expression_vm
-from heli_lab.fit.model_functions import (
-    EFFECT_SUBSTEPS,
-    AlongTrajectory,
-    EffectStates,
-    Trajectory,
-)
+from heli_sim.evaluate import _expression_vm
+from heli_sim.evaluate.trajectories import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, Trajectory
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from hypothesis import given, seed, settings

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
 from heli_lab.code_digest import package_digest
-from heli_lab.errors import IdentifyError
-from heli_lab.fit import free_run
 from heli_lab.fit.free_run import (
     LOOP,
     CompiledKernel,
@@ -20,9 +18,11 @@ from heli_lab.fit.free_run import (
     Inputs,
     InterpretedKernel,
     VoltageDerivative,
-    c_function,
     kernel,
 )
+from heli_sim.errors import PlantError
+from heli_sim.evaluate import lanes
+from heli_sim.evaluate.lanes import c_function
 from heli_sim.model import Model, MultibodyModel, PaperModel
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig
@@ -249,6 +249,6 @@ def test_each_operation_in_each_lane_is_that_of_casadi(tmp_path: Path) -> None:
 def test_an_unknown_operation_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     x = ca.SX.sym("x", 1)
     function = ca.Function("f", [x], [ca.sin(x)])
-    monkeypatch.setattr(free_run, "_EXPRESSIONS", {})
-    with pytest.raises(IdentifyError, match="operation"):
+    monkeypatch.setattr(lanes, "_EXPRESSIONS", {})
+    with pytest.raises(PlantError, match="operation"):
         c_function(function)

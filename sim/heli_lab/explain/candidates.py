@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_sim.evaluate.trajectories import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, Trajectory
 from heli_sim.model.base import Effect, Model, Operands
 from heli_sim.model.effect import AXES
 from heli_sim.model.effect import thrust_N as static_thrust_N
@@ -27,7 +28,6 @@ from heli_sim.rig.schema import Prior, Quantity
 
 from heli_lab.fit.flight_model import known_directions, model_along
 from heli_lab.fit.linearised_flight import LinearisedFlight
-from heli_lab.fit.model_functions import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, Trajectory
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_sim.evaluate.trajectories import Trajectory
 from heli_sim.model.effect import AXES
 
 from heli_lab.explain.candidates import ExtendedModel
@@ -32,7 +33,6 @@ from heli_lab.explain.terms import (
 )
 from heli_lab.fit.flight_model import model_along
 from heli_lab.fit.linearised_flight import LinearisedFlight
-from heli_lab.fit.model_functions import Trajectory
 from heli_lab.threads import batches, parallel_map
 
 _MULTIPLICITIES: Final[Mapping[str, tuple[float, ...]]] = {

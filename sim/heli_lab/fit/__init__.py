@@ -13,6 +13,8 @@ Does not belong here: equations of motion (`heli_sim.model`), rig parameters (`h
 from a likelihood (`heli_lab.explain`).
 """
 
+from heli_sim.evaluate.trajectories import EFFECT_SUBSTEPS, AlongTrajectory, EffectStates, Trajectory
+
 from heli_lab.fit.estimator import Estimate, estimate, estimate_disturbances
 from heli_lab.fit.grey_box import ActingInputs, DisturbanceModel, GainDisturbance, GreyBoxModel, Recording
 from heli_lab.fit.identification import FreeRunErrors, Identification, Trace, check, identify, trace, validate
@@ -26,13 +28,7 @@ from heli_lab.fit.innovations import (
     smoothed_disturbances,
 )
 from heli_lab.fit.linearised_flight import BLOCK_s, Derivatives, LinearisedFlight
-from heli_lab.fit.model_functions import (
-    EFFECT_SUBSTEPS,
-    AlongTrajectory,
-    EffectStates,
-    ModelFunctions,
-    Trajectory,
-)
+from heli_lab.fit.model_functions import ModelFunctions
 from heli_lab.fit.parameters import FreeParameter, NormalPrior, ParameterVector
 from heli_lab.fit.problem import Budget, Fit, FitProgress, Problem
 from heli_lab.fit.records import Record, prepare

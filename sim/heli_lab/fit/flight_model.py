@@ -10,13 +10,14 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_sim.evaluate.trajectories import AlongTrajectory
 from heli_sim.model.base import Model
 from heli_sim.model.effect import AXES, Effect, Operands, Stage
 from heli_sim.rig import Prior, Quantity, Rig
 from typing_extensions import override
 
 from heli_lab.fit.grey_box import ActingInputs, DisturbanceModel, GreyBoxModel, Recording
-from heli_lab.fit.model_functions import AlongTrajectory, ModelFunctions
+from heli_lab.fit.model_functions import ModelFunctions
 from heli_lab.fit.parameters import FreeParameter, ParameterVector
 from heli_lab.fit.problem import (
     FLIGHT_TORQUES,

@@ -6,11 +6,6 @@ as C, and the loop of fourth-order Runge-Kutta steps of `windows.c` around them;
 user's cache. Without a C compiler, the interpreted kernel runs the same loop in NumPy. The compiled one takes
 11 ms for 20 windows of 2 s with 21 free parameters (2026-11). The interpreted one takes longer even without
 sensitivities: 13 to 31 ms.
-
-CasADi's own C evaluates one window. Its operations depend on each other, and a compiler cannot vectorise
-them. Windows are independent: the same operation in four windows is one operation on a vector, with each
-window in a lane. Each lane gives the same bits as CasADi's C. Values that depend on parameters alone are the
-same in all windows and stay scalars.
 """
 
 from __future__ import annotations
@@ -18,7 +13,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import itertools
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,11 +24,11 @@ import numpy as np
 from heli_host.data.arrays import Floats, Integers
 from heli_sim.errors import PlantError
 from heli_sim.evaluate.compiled import compile_source
+from heli_sim.evaluate.lanes import c_function
+from heli_sim.evaluate.trajectories import AlongTrajectory, Trajectory
 from heli_sim.model.base import Model
 from typing_extensions import override
 
-from heli_lab.errors import IdentifyError
-from heli_lab.fit.model_functions import AlongTrajectory, Trajectory
 from heli_lab.threads import default_thread_count, parallel_map
 
 
@@ -148,110 +142,6 @@ class Kernel(ABC):
         `measured_rad` (n, 3), `sigma_rad` (3,); returns `angles_rad` (n, 3), `normal_matrix` (w, 3,
         states + free + 1, states + free + 1).
         """
-
-
-_SHARED_INPUT: Final = 3
-"""Number of the input that all windows share: the parameters."""
-_VECTOR_OPERATIONS: Final = {
-    "ASSIGN": "{x}",
-    "ADD": "{x} + {y}",
-    "SUB": "{x} - {y}",
-    "MUL": "{x} * {y}",
-    "DIV": "{x} / {y}",
-    "NEG": "-{x}",
-    "SQ": "{x} * {x}",
-    "TWICE": "2.0 * {x}",
-    "INV": "1.0 / {x}",
-}
-"""Operations that C has for vectors, by their name in CasADi."""
-_LANE_OPERATIONS: Final = {
-    "LT": "{x} < {y}",
-    "LE": "{x} <= {y}",
-    "EQ": "{x} == {y}",
-    "NE": "{x} != {y}",
-    "NOT": "!{x}",
-    "AND": "{x} && {y}",
-    "OR": "{x} || {y}",
-    "IF_ELSE_ZERO": "{x} ? {y} : 0.0",
-    "SIGN": "{x} < 0.0 ? -1.0 : ({x} > 0.0 ? 1.0 : {x})",
-    "POW": "pow({x}, {y})",
-    "CONSTPOW": "pow({x}, {y})",
-    **{
-        name: f"{name.lower()}({{x}})"
-        for name in (
-            *("EXP", "LOG", "SQRT", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "FLOOR", "CEIL", "FABS"),
-            *("ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1"),
-        )
-    },
-    **{
-        name: f"{name.lower()}({{x}}, {{y}})"
-        for name in ("FMIN", "FMAX", "FMOD", "COPYSIGN", "ATAN2", "HYPOT", "REMAINDER")
-    },
-}
-"""Operations that are carried out lane by lane."""
-_EXPRESSIONS: Final = {
-    getattr(ca, f"OP_{name}"): (text, name in _VECTOR_OPERATIONS)
-    for name, text in {**_VECTOR_OPERATIONS, **_LANE_OPERATIONS}.items()
-}
-"""For each operation of CasADi its expression in C, and whether C has it for vectors."""
-
-
-def c_function(function: ca.Function) -> str:
-    """Write a CasADi function in C."""
-    lines: list[str] = []
-    in_register: dict[int, str] = {}
-    """C expression of the value that is now in each of CasADi's work registers."""
-    vectors: set[str] = set()
-    """C expressions that are vectors; all others are numbers."""
-    for k in range(function.n_instructions()):
-        code = function.instruction_id(k)
-        target, operands = function.instruction_output(k), function.instruction_input(k)
-        if code == ca.OP_OUTPUT:
-            value = in_register[operands[0]]
-            lines.append(f"r{target[0]}[{target[1]}] = {value if value in vectors else f'all({value})'};")
-            continue
-        if code == ca.OP_INPUT:
-            number, element = operands
-            value = f"a{number}[{element}]"
-            if number != _SHARED_INPUT:
-                vectors.add(value)
-        elif code == ca.OP_CONST:
-            value = f"({_c_literal(function.instruction_constant(k))})"
-        else:
-            value = f"v{k}"
-            x, y = in_register[operands[0]], in_register[operands[-1]]
-            lines.append(_c_operation(value, code, x, y, vectors))
-        in_register[target[0]] = value
-    arguments = ", ".join(
-        [f"const {'double' if i == _SHARED_INPUT else 'Lanes'}* a{i}" for i in range(function.n_in())]
-        + [f"Lanes* r{i}" for i in range(function.n_out())]
-    )
-    body = "\n  ".join(lines)
-    return f"WIDE static void {function.name()}({arguments}) {{\n  {body}\n}}\n"
-
-
-def _c_operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> str:
-    """Write one operation as a C statement."""
-    if code not in _EXPRESSIONS:
-        raise IdentifyError(
-            f"a model uses CasADi's operation {code}, which is not compiled here",
-            "write it with arithmetic, comparisons and elementary functions",
-        )
-    expression, is_for_vectors = _EXPRESSIONS[code]
-    if not {x, y} & vectors:
-        return f"const double {result} = {expression.format(x=x, y=y)};"
-    vectors.add(result)
-    if is_for_vectors:
-        return f"const Lanes {result} = {expression.format(x=x, y=y)};"
-    x, y = (f"{operand}[z]" if operand in vectors else operand for operand in (x, y))
-    return f"Lanes {result}; for (int z = 0; z < LANES; ++z) {result}[z] = {expression.format(x=x, y=y)};"
-
-
-def _c_literal(value: float) -> str:
-    """Write a number in C."""
-    if math.isnan(value):
-        return "NAN"
-    return repr(value).replace("inf", "INFINITY")
 
 
 _WORTH_THREADS_ROWS: Final = 500

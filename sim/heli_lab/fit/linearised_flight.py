@@ -21,9 +21,10 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
+from heli_sim.evaluate.trajectories import Trajectory
 
 from heli_lab.fit import _kalman
-from heli_lab.fit.model_functions import ModelFunctions, Trajectory
+from heli_lab.fit.model_functions import ModelFunctions
 from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 from heli_lab.threads import default_thread_count, parallel_map
 

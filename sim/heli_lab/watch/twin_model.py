@@ -14,6 +14,7 @@ from typing import Final
 import casadi as ca
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_sim.evaluate.trajectories import AlongTrajectory, Trajectory
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue
@@ -21,7 +22,6 @@ from heli_sim.model.effects.spec import format_estimate
 from heli_sim.rig import Rig
 
 from heli_lab.fit.flight_model import model_along, model_functions
-from heli_lab.fit.model_functions import AlongTrajectory, Trajectory
 
 SUPPLY: Final = "supply"
 """Parameter of a change that is no parameter of the model: a share of both motor voltages."""

@@ -17,12 +17,13 @@ import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_host.data.flight import Flight
 from heli_host.data.response import flown_rows
+from heli_sim.evaluate.trajectories import Trajectory
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effect import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.fit.flight_model import TORQUE_STD_Nm, model_functions
-from heli_lab.fit.model_functions import ModelFunctions, Trajectory
+from heli_lab.fit.model_functions import ModelFunctions
 from heli_lab.fit.problem import FLIGHT_CONSTANTS, free_parameters
 
 GRID_s: Final = 0.02
