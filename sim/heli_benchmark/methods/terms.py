@@ -1,4 +1,4 @@
-"""What methods that regress accelerations share: smoothed flights, candidate terms, torques of an answer."""
+"""Offers what methods share that regress accelerations: smoothed flights, candidate terms, torques."""
 
 from __future__ import annotations
 

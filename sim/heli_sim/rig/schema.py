@@ -1,4 +1,4 @@
-"""What a rig file contains: quantities with units, inertias that follow, and limits of plausible values."""
+"""Describes the content of a rig file: quantities with units, inertias that follow, and limits of plausible values."""
 
 from __future__ import annotations
 
