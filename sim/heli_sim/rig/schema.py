@@ -1,4 +1,4 @@
-"""Describes the content of a rig file: quantities with units, inertias that follow, and limits of plausible values."""
+"""Describes the content of a rig file: quantities with units, inertias that follow, plausible limits."""
 
 from __future__ import annotations
 
