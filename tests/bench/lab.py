@@ -228,17 +228,6 @@ def measure_many_flights() -> list[Measured]:
     return [Measured("diagnose_growth_100_flights", [cost_s(every) / few_s])]
 
 
-if __name__ == "__main__":
-    import resource
-    import sys
-
-    every = records()
-    for count in map(int, sys.argv[1:]):
-        peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-        print(count, cost_s(every[:count]), "s a flight;", f"{peak_MB:.0f} MB before", flush=True)
-    print(f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB at most")
-
-
 CASES, NAP_s = 200, 0.1
 """Cases that wait and use no core: what is measured is the campaign and not how many cores are free."""
 
@@ -262,3 +251,14 @@ def measure_campaign() -> list[Measured]:
         Measured("campaign_two_workers_ratio", [taken_s[0] / taken_s[1]]),
         Measured("campaign_case_overhead_cpu_ms", [1e3 * cpu_s for cpu_s in spent]),
     ]
+
+
+if __name__ == "__main__":
+    import resource
+    import sys
+
+    every = records()
+    for count in map(int, sys.argv[1:]):
+        peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+        print(count, cost_s(every[:count]), "s a flight;", f"{peak_MB:.0f} MB before", flush=True)
+    print(f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB at most")

@@ -105,10 +105,6 @@ def main(ids: list[str]) -> None:
             print(flush=True)
 
 
-if __name__ == "__main__":
-    main(sys.argv[1:])
-
-
 COMMON = [
     *("rotor_lag", "rotor_speed_lag", "rotor_lag_with_delay", "input_delay"),
     *("thrust_quadratic", "thrust_asymmetry", "thrust_fade", "thrust_step.front", "thrust_step.back"),
@@ -126,3 +122,7 @@ COMMON = [
 
 MEASURED = ["edgewise_flow", "gyroscopic_torque", "flywheel"]
 """Effects that measured flights of real rigs showed beyond the common ones."""
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -131,7 +131,7 @@ def test_a_wheel_has_pages_rigs_and_plans_and_no_tests(tmp_path: Path) -> None:
         "heli_sim/rig/quanser-course.toml",
         "heli_sim/fmu/sources/rig.c",
         "heli_lab/report/diagnosis/report.html",
-        "heli_lab/report/identification/report.html",
+        "heli_lab/report/identification.html",
     ):
         assert file in files
     assert not [file for file in files if Path(file).name.startswith(("test_", "conftest", "heli_test_"))]
@@ -199,7 +199,7 @@ ELSEWHERE: Final = {
     "test": (".ci/run", "make --no-print-directory test"),
     "check": (".ci/test", ".ci/check"),
     "fuzz": (".ci/test", ".ci/fuzz"),
-    "blind": ("heli_benchmark/tests/test_blind.py", "As `make blind` does"),
+    "blind": ("sim/heli_benchmark/tests/test_blind.py", "As `make blind` does"),
     "docs": ("tests/repo/test_site.py", "def test_the_site_builds_without_a_warning"),
     "firmware": ("tests/firmware/test_tools.py", "def test_platformio_builds_the_same_program"),
 }

@@ -164,10 +164,6 @@ def become(words: list[str], output_file: str) -> None:
         exec(compile(words[-1], "<document>", "exec"), {"__name__": "__main__"})
 
 
-if __name__ == "__main__":
-    main()
-
-
 PLANS: Final = "plans"
 """Fly only the first seconds of a plan."""
 WORK: Final = "work"
@@ -264,3 +260,7 @@ def _few_iterations(
 
 def _coarse_figure(savefig: Callable[..., None], *arguments: Any, **options: Any) -> None:
     savefig(*arguments, **{**options, "dpi": DPI})
+
+
+if __name__ == "__main__":
+    main()
