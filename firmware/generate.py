@@ -1,4 +1,4 @@
-"""Write what link.toml and pins.toml declare: C++, Python and MATLAB tables, and pages of docs.
+"""Write what link.toml and pins.toml declare: C++, Python, JavaScript and MATLAB tables, and pages of docs.
 
 Run ``python firmware/generate.py`` after each change of link.toml or pins.toml. ``--check`` writes nothing
 and fails if a generated file is stale. The program needs only the standard library, so that a firmware build
@@ -16,6 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from firmware.generator.cpp import generate_cpp
 from firmware.generator.declared import DeclarationError, read
 from firmware.generator.document import generate_doc, generate_faults, generate_parameters
+from firmware.generator.javascript import generate_javascript
 from firmware.generator.matlab import generate_matlab
 from firmware.generator.python import generate_python
 from firmware.generator.wiring import generate_header, read_pins, with_table
@@ -32,6 +33,7 @@ WRITERS = {
     "docs/reference/faults.md": generate_faults,
     "docs/reference/parameters.md": generate_parameters,
     "docs/matlab/heli_declaration.m": generate_matlab,
+    "sim/web/page/declaration.js": generate_javascript,
 }
 
 

@@ -2,7 +2,8 @@
 #include "native_board.hpp"
 
 #include <algorithm>
-#include <fstream>
+#include <cstdio>
+#include <memory>
 #include <stdexcept>
 #include <string>
 
@@ -14,6 +15,12 @@ namespace {
 
 // The boot event carries the boot id as a float, which holds whole numbers of 24 bits.
 constexpr std::uint32_t kBootIdMask = 0x00FFFFFF;
+
+// Closed with its owner. Streams of C, because WebAssembly's library has no others.
+using File = std::unique_ptr<std::FILE, int (*)(std::FILE*)>;
+File open_file(const std::string& name, const char* mode) {
+  return File(std::fopen(name.c_str(), mode), std::fclose);
+}
 
 }  // namespace
 
@@ -44,10 +51,9 @@ bool MemoryBoard::write_page(std::size_t page, const std::uint8_t* from, std::si
   std::uint8_t* to = flash.data() + page * kPageBytes;
   std::fill_n(std::copy_n(from, count, to), kPageBytes - count, std::uint8_t{0xFF});
   if (flash_file.empty()) return true;
-  std::ofstream file(flash_file, std::ios::binary | std::ios::trunc);
-  file.write(reinterpret_cast<const char*>(flash.data()),
-             static_cast<std::streamsize>(flash.size()));
-  return static_cast<bool>(file.flush());
+  const File file = open_file(flash_file, "wb");
+  return file && std::fwrite(flash.data(), 1, flash.size(), file.get()) == flash.size() &&
+         std::fflush(file.get()) == 0;
 }
 
 // Loads the flash file if it exists.
@@ -56,15 +62,12 @@ NativeBoard::NativeBoard(const std::string& flash_file, bool from_edges, std::ui
   std::seed_seq words{boot_seed & 0xFFFFFFFFU, boot_seed >> 32U};
   boot_ids_.seed(words);
   memory_.flash_file = flash_file;
-  std::ifstream file(flash_file, std::ios::binary);
-  if (!flash_file.empty() && file.is_open()) {
-    file.read(reinterpret_cast<char*>(memory_.flash.data()),
-              static_cast<std::streamsize>(memory_.flash.size()));
-    if (static_cast<std::size_t>(file.gcount()) != memory_.flash.size()) {
-      throw std::runtime_error("the flash file " + flash_file + " is not " +
-                               std::to_string(memory_.flash.size()) +
-                               " bytes long; delete it, it is made again");
-    }
+  if (flash_file.empty()) return;
+  const File file = open_file(flash_file, "rb");
+  if (file && std::fread(memory_.flash.data(), 1, memory_.flash.size(), file.get()) != memory_.flash.size()) {
+    throw std::runtime_error("the flash file " + flash_file + " is not " +
+                             std::to_string(memory_.flash.size()) +
+                             " bytes long; delete it, it is made again");
   }
 }
 

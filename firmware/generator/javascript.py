@@ -1,0 +1,40 @@
+"""The declaration as JavaScript: the tables of the small host that flies in a browser."""
+
+from __future__ import annotations
+
+import json
+
+from firmware.generator.declared import STRUCT_CODE, Table, full_fields, link_hash, params_hash, rows
+
+
+def generate_javascript(d: Table) -> str:
+    """Return the text of sim/web/page/declaration.js."""
+    link = d["link"]
+    names = {
+        name: {entry: values["value"] for entry, values in rows(entries)}
+        for name, entries in d["enums"].items()
+    }
+    names["fault"] = {"none": 0} | {fault["name"]: fault["code"] for fault in d["fault"]}
+    names["axes"] = {name: 1 << entry["bit"] for name, entry in rows(d["bits"]["axes"])}
+    constants = {
+        "LINK": {key: link[key] for key in ("version", "firmware", "protocol", "tick_us")}
+        | {"hash": link_hash(d), "params_hash": params_hash(d)}
+        | {key: link[key] for key in ("max_command_payload", "max_telemetry_payload")},
+        "NAMES": names,
+        "MESSAGES": {
+            message["name"]: {
+                "id": message["id"],
+                "reply": message.get("reply", ""),
+                "fields": [[field["name"], STRUCT_CODE[field["type"]]] for field in full_fields(message)],
+            }
+            for message in d["message"]
+        },
+        "CHANNELS": [
+            [channel["name"], STRUCT_CODE[channel["type"]], channel["unit"], channel["scale"]]
+            for channel in d["channel"]
+        ],
+        "SETPOINT_MARGIN_DEG": d["setpoint_margin"],
+    }
+    lines = ["// Written by firmware/generate.py from firmware/link.toml. Do not edit."]
+    lines += [f"export const {name} = {json.dumps(value)};" for name, value in constants.items()]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,1 @@
+"""The page that flies in a browser: how it is built."""

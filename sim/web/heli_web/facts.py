@@ -1,0 +1,148 @@
+"""Everything that the page knows of rigs, effects, plans and the link, as one JSON value written at build time."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from heli_host.data.log.records import _CHANNELS, _SCHEMAS
+from heli_host.data.log.schema import _tick_fields
+from heli_host.declaration import CHANNELS, FAULTS, LINK_VERSION, PARAMS
+from heli_host.files import LOG_WRITER
+from heli_host.fly.plan import Plan
+from heli_host.release import installed_version
+from heli_host.ui.page.source import channel_rows, parameter_rows, state_rows
+from heli_sim.errors import SimError
+from heli_sim.model.base import Model
+from heli_sim.model.effects.catalogue import catalogue
+from heli_sim.model.effects.spec import EffectSpec
+from heli_sim.model.multibody import MultibodyModel
+from heli_sim.model.named import model_named
+from heli_sim.plant import LIMITS, extras, step_function
+from heli_sim.rig import Rig, load_rig
+from heli_sim.rig.board import in_simulation
+from heli_sim.rig.encoders import count_rad, directions
+from heli_sim.sil.flash_pages import saved
+
+from heli_web.plant import plant_module
+
+_ERASED = b"\xff" * 2048
+RIGS = ("makki2024", "makki2024-identified", "quanser-course")
+
+
+def plant_facts(model: Model) -> dict[str, Any]:
+    """Return a model's plant: its module, the names of its parameters, and its states beyond those of the model."""
+    added = extras(model)
+    return {
+        "module": base64.b64encode(plant_module(step_function(model))).decode(),
+        "parameters": [*model.parameter_names, *LIMITS],
+        "states": len(model.states) + len(added.states),
+        "random_state": len(model.states) + added.timed if added.random else -1,
+        "delay": model.delay,
+    }
+
+
+def rig_facts(rig: Rig) -> dict[str, Any]:
+    """Return a rig's numbers, and the flash of a board that suits it."""
+    model = model_named(rig.model or MultibodyModel.name)
+    names, settings = [*model.parameter_names, *LIMITS], in_simulation(rig)
+    values = [*model.parameter_values(rig), *(rig[name].value for name in LIMITS)]
+    return {
+        "name": rig.name,
+        "values": dict(zip(names, (float(value) for value in values), strict=True)),
+        "drawing": {name: rig[name].value for name in rig},
+        "supply_V": rig["supply"].value,
+        "dead_band": rig["driver_dead_band"].value,
+        "counts_per_rad": (directions(rig) / count_rad(rig)).tolist(),
+        "flash": base64.b64encode(saved(settings) if settings else _ERASED).decode(),
+    }
+
+
+def effect_facts(kind: EffectSpec) -> dict[str, Any] | None:
+    """Return an effect with its plant and its parameters; None if it suits no model of the page."""
+    try:
+        model = MultibodyModel((kind.make(kind.typical),))
+        plant = plant_facts(model)
+    except SimError:
+        return None
+    return {
+        "id": kind.id,
+        "sentence": kind.describe(kind.typical),
+        "parameters": [
+            _parameter_facts(kind, parameter) | {"symbol": quantity.name}
+            for parameter, quantity in zip(kind.numbers, model.effects[0].parameters, strict=True)
+        ],
+        "override": dict(kind.override),
+        "plant": plant,
+    }
+
+
+def _parameter_facts(kind: EffectSpec, parameter: Any) -> dict[str, Any]:
+    """Return a parameter with the range of its slider: three typical sizes, within what the prior permits."""
+    reach = 3.0 * abs(parameter.typical) or 1.0
+    prior = parameter.prior
+    low, high = -reach if parameter.size else min(0.0, -reach if parameter.typical < 0 else 0.0), reach
+    if prior is not None:
+        low, high = max(low, prior.low), min(high, prior.high)
+    return {
+        "name": f"{kind.id}.{parameter.name}",
+        "unit": parameter.unit,
+        "meaning": parameter.meaning,
+        "typical": parameter.typical,
+        "neutral": parameter.neutral_value,
+        "low": low,
+        "high": high,
+    }
+
+
+def log_facts() -> dict[str, Any]:
+    """Return the layout of a log: schemas, channels, and the fields of a tick."""
+    columns = {spec.field: (index, None) for index, spec in enumerate(CHANNELS)}
+    columns |= {spec.column: (index, int(spec.axis)) for index, spec in enumerate(CHANNELS) if spec.axis is not None}
+    fields = sorted(_tick_fields(), key=lambda field: -np.dtype(field.code).itemsize)
+    return {
+        "library": f"{LOG_WRITER} {LINK_VERSION})",
+        "schemas": [{"name": s.name, "encoding": s.encoding, "data": s.data.decode()} for s in _SCHEMAS],
+        "channels": [{"topic": c.topic, "encoding": c.message_encoding} for c in _CHANNELS],
+        "fields": [
+            {
+                "name": field.name,
+                "code": np.dtype(field.code).str[1:],
+                "channel": columns.get(field.name, (None, None))[0],
+                "axis": columns.get(field.name, (None, None))[1],
+            }
+            for field in fields
+        ],
+    }
+
+
+def page_facts(plans: Sequence[Plan], tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Return all facts of a page with these plans; `tables` are their parsed TOML tables by name."""
+    values = {spec.name: spec.default for spec in PARAMS}
+    effects = [facts for kind in catalogue().values() if (facts := effect_facts(kind)) is not None]
+    return {
+        "version": installed_version(),
+        "hello": {
+            "mode": "live",
+            "kind": "simulation",
+            "tick_s": 0.001,
+            "channels": channel_rows(values),
+            "states": state_rows(),
+            "parameters": parameter_rows(),
+            "plans": [{"name": plan.name, "title": plan.title} for plan in plans],
+            "laws": [],
+        },
+        "faults": {
+            spec.code: {"name": spec.name, "meaning": spec.meaning, "remedy": spec.remedy, "parameter": spec.parameter}
+            for spec in FAULTS
+        },
+        "log": log_facts(),
+        "plans": [
+            {"name": plan.name, "title": plan.title, "text": plan.text, "table": tables[plan.name]} for plan in plans
+        ],
+        "rigs": [rig_facts(load_rig(name)) for name in RIGS],
+        "plants": {"": plant_facts(MultibodyModel())},
+        "effects": effects,
+    }

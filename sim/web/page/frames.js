@@ -1,0 +1,173 @@
+// Frames and messages of the link: COBS(protocol | id | sequence | payload | crc32) 0x00. See docs/reference/link.md.
+import { CHANNELS, LINK, MESSAGES } from "./declaration.js";
+
+const OVERHEAD = 7;
+const MAX_PLAIN = LINK.max_telemetry_payload + OVERHEAD;
+const MAX_ENCODED = MAX_PLAIN + 1 + Math.floor(MAX_PLAIN / 254);
+const TABLE = new Uint32Array(256).map((_, byte) => {
+  for (let bit = 0; bit < 8; bit++) byte = byte & 1 ? (byte >>> 1) ^ 0xedb88320 : byte >>> 1;
+  return byte;
+});
+
+export function crc32(bytes, crc = 0) {
+  crc = ~crc;
+  for (const byte of bytes) crc = TABLE[(crc ^ byte) & 255] ^ (crc >>> 8);
+  return ~crc >>> 0;
+}
+
+function cobsEncode(bytes) {
+  const out = [0];
+  let code = 0;
+  const close = () => { out[code] = out.length - code; code = out.length; out.push(0); };
+  bytes.forEach((byte, index) => {
+    if (byte === 0) return close();
+    out.push(byte);
+    if (out.length - code === 255 && index < bytes.length - 1) close();
+  });
+  out[code] = out.length - code;
+  return out;
+}
+
+// Returns null for bytes that are no COBS.
+function cobsDecode(encoded) {
+  const out = new Uint8Array(encoded.length);
+  let size = 0, at = 0;
+  while (at < encoded.length) {
+    const code = encoded[at];
+    if (code === 0 || at + code > encoded.length) return null;
+    out.set(encoded.subarray(at + 1, at + code), size);
+    size += code - 1;
+    at += code;
+    if (code < 255 && at < encoded.length) out[size++] = 0;
+  }
+  return out.subarray(0, size);
+}
+
+const SIZES = { B: 1, H: 2, h: 2, I: 4, i: 4, f: 4, Q: 8 };
+const WRITERS = { B: "setUint8", H: "setUint16", h: "setInt16", I: "setUint32", i: "setInt32", f: "setFloat32" };
+
+export function sizeOf(name) { return MESSAGES[name].fields.reduce((sum, [, code]) => sum + SIZES[code], 0); }
+
+export function pack(name, values) {
+  const view = new DataView(new ArrayBuffer(sizeOf(name)));
+  let at = 0;
+  for (const [field, code] of MESSAGES[name].fields) {
+    if (code === "Q") view.setBigUint64(at, BigInt(values[field]), true);
+    else view[WRITERS[code]](at, values[field], true);
+    at += SIZES[code];
+  }
+  return new Uint8Array(view.buffer);
+}
+
+// Reads the fixed fields of a payload; null when it is too short.
+export function unpack(name, payload) {
+  if (payload.length < sizeOf(name)) return null;
+  const view = new DataView(payload.buffer, payload.byteOffset, payload.length), values = {};
+  let at = 0;
+  for (const [field, code] of MESSAGES[name].fields) {
+    values[field] = code === "Q" ? Number(view.getBigUint64(at, true)) : view[WRITERS[code].replace("set", "get")](at, true);
+    at += SIZES[code];
+  }
+  return values;
+}
+
+export const NAME_OF_ID = Object.fromEntries(Object.entries(MESSAGES).map(([name, { id }]) => [id, name]));
+
+export function encodeFrame(id, seq, payload) {
+  const content = new Uint8Array(OVERHEAD + payload.length);
+  content.set([LINK.protocol, id, seq]);
+  content.set(payload, 3);
+  new DataView(content.buffer).setUint32(3 + payload.length, crc32(content.subarray(0, -4)), true);
+  return Uint8Array.from([...cobsEncode(content), 0]);
+}
+
+// Splits a stream of any bytes into frames that pass every check.
+export class FrameParser {
+  constructor() {
+    Object.assign(this, { ok: 0, bad: 0, lost: 0, received: 0, dropped: 0, partial: new Uint8Array(0), overlong: false, synchronised: false, expected: -1 });
+  }
+
+  feed(data) {
+    this.received += data.length;
+    const bytes = this.partial.length ? Uint8Array.from([...this.partial, ...data]) : data, frames = [];
+    let start = 0;
+    for (let end = bytes.indexOf(0); end >= 0; start = end + 1, end = bytes.indexOf(0, start)) {
+      const frame = this.frame(bytes.subarray(start, end));
+      if (frame) frames.push(frame);
+    }
+    this.partial = bytes.slice(start);
+    if (this.partial.length > MAX_ENCODED) {
+      this.dropped += this.partial.length;
+      this.partial = new Uint8Array(0);
+      this.overlong = true;
+    }
+    return frames;
+  }
+
+  frame(encoded) {
+    if (this.overlong) {
+      this.overlong = false;
+      return this.refuse(encoded);
+    }
+    if (!encoded.length) {
+      this.synchronised = true;
+      return null;
+    }
+    const plain = encoded.length <= MAX_ENCODED ? cobsDecode(encoded) : null;
+    if (!plain || plain.length < OVERHEAD || plain[0] !== LINK.protocol) return this.refuse(encoded);
+    const body = plain.subarray(0, -4), end = plain.length;
+    const crc = (plain[end - 4] | (plain[end - 3] << 8) | (plain[end - 2] << 16) | (plain[end - 1] << 24)) >>> 0;
+    if (crc32(body) !== crc) return this.refuse(encoded);
+    const seq = plain[2], gap = (seq - this.expected) & 255;
+    if (this.expected >= 0 && gap !== 255) this.lost += gap;
+    this.expected = (seq + 1) & 255;
+    this.synchronised = true;
+    this.ok++;
+    return { id: plain[1], payload: body.slice(3) };
+  }
+
+  refuse(encoded) {
+    this.dropped += encoded.length;
+    this.bad += this.synchronised ? 1 : 0;
+    this.synchronised = true;
+    return null;
+  }
+
+  restart() { Object.assign(this, { partial: new Uint8Array(0), overlong: false, synchronised: false, expected: -1 }); }
+}
+
+const WIDTHS = [0, 2, 4, 8, 16, 32];
+const BASES = CHANNELS.map(([, code]) => ({ size: SIZES[code], signed: code === code.toLowerCase() }));
+
+// Unpacks a batch: {first, raw: one array a channel}; null if it does not fit the declaration.
+export function unpackTelemetry(payload) {
+  const head = unpack("telemetry", payload), channels = CHANNELS.length;
+  if (!head || !head.count) return null;
+  const { first_tick: first, count } = head, view = new DataView(payload.buffer, payload.byteOffset, payload.length);
+  let at = sizeOf("telemetry");
+  const codes = CHANNELS.map((_, c) => (payload[at + (c >> 1)] >> (4 * (c & 1))) & 15);
+  at += (channels + 1) >> 1;
+  const widths = codes.map((code) => WIDTHS[code]);
+  const size = BASES.reduce((sum, base, c) => sum + base.size + ((widths[c] * (count - 1) + 7) >> 3), at);
+  if (widths.includes(undefined) || payload.length !== size) return null;
+  const raw = BASES.map(({ size: bytes, signed }) => {
+    const values = new Int32Array(count);
+    values[0] = bytes === 1 ? view[signed ? "getInt8" : "getUint8"](at) : view[`get${signed ? "Int" : "Uint"}${8 * bytes}`](at, true);
+    at += bytes;
+    return values;
+  });
+  raw.forEach((values, c) => {
+    const width = widths[c];
+    for (let i = 1; i < count; i++) {
+      const bit = width * (i - 1), byte = at + (bit >> 3);
+      let delta = 0;
+      if (width === 32) delta = view.getInt32(byte, true);
+      else if (width === 16) delta = view.getInt16(byte, true);
+      else if (width === 8) delta = view.getInt8(byte);
+      else if (width) delta = (payload[byte] << (32 - width - (bit & 7))) >> (32 - width);
+      values[i] = values[i - 1] + delta;
+    }
+    at += (width * (count - 1) + 7) >> 3;
+  });
+  return { first, raw };
+}

@@ -1,0 +1,206 @@
+// Writes a flight as MCAP, in the layout of heli_host.data.log, with chunks that are not compressed.
+import { CHANNELS } from "./declaration.js";
+import { crc32 } from "./frames.js";
+
+const MAGIC = Uint8Array.from([0x89, 0x4d, 0x43, 0x41, 0x50, 0x30, 0x0d, 0x0a]);
+const OP = { header: 1, footer: 2, schema: 3, channel: 4, message: 5, chunk: 6, messageIndex: 7, chunkIndex: 8, statistics: 11, metadata: 12, metadataIndex: 13, summaryOffset: 14, dataEnd: 15 };
+const CHUNK_TICKS = 1000;
+const TICK = 1, EVENT = 2, LINK = 3;
+const ENCODER = new TextEncoder();
+
+class Bytes {
+  constructor(size = 1 << 12) { [this.view, this.size] = [new DataView(new ArrayBuffer(size)), 0]; }
+
+  room(count) {
+    if (this.size + count > this.view.byteLength) {
+      const grown = new Uint8Array(Math.max(2 * this.view.byteLength, this.size + count));
+      grown.set(new Uint8Array(this.view.buffer, 0, this.size));
+      this.view = new DataView(grown.buffer);
+    }
+    const at = this.size;
+    this.size += count;
+    return at;
+  }
+
+  u8(value) { this.view.setUint8(this.room(1), value); return this; }
+  u16(value) { this.view.setUint16(this.room(2), value, true); return this; }
+  u32(value) { this.view.setUint32(this.room(4), value, true); return this; }
+  u64(value) { this.view.setBigUint64(this.room(8), BigInt(value), true); return this; }
+  bytes(data) { new Uint8Array(this.view.buffer).set(data, this.room(data.length)); return this; }
+  text(text) { const data = ENCODER.encode(text); return this.u32(data.length).bytes(data); }
+  map(entries) {
+    const inner = new Bytes();
+    for (const [key, value] of entries) inner.text(key).text(value);
+    return this.u32(inner.size).bytes(inner.data);
+  }
+  get data() { return new Uint8Array(this.view.buffer, 0, this.size); }
+}
+
+function record(op, write) {
+  const body = new Bytes();
+  write(body);
+  return new Bytes(body.size + 9).u8(op).u64(body.size).bytes(body.data).data;
+}
+
+function metadataCrc(name, values) {
+  const bytes = new Bytes().text(name);
+  for (const key of Object.keys(values).sort()) bytes.text(key).text(values[key]);
+  return crc32(bytes.data).toString(16).padStart(8, "0");
+}
+
+// Ticks are written as fields in this order: widest first, so that none needs padding.
+export class LogWriter {
+  // schema: {library, schemas: [{name, encoding, data}], channels: [{topic, encoding}], fields: [{name, code, channel,
+  // axis}]}; radPerCount of the three axes.
+  constructor(schema, startMs, radPerCount) {
+    Object.assign(this, { schema, startNs: BigInt(Math.round(startMs)) * 1000000n, radPerCount, parts: [], size: 0, crc: 0, chunks: [], metadata: [], counts: {}, firstNs: null, lastNs: 0n });
+    Object.assign(this, { pending: [], pendingTicks: 0, firstTick: null, lastTick: null, shiftMs: 0, ticks: 0, lost: 0, events: 0 });
+    this.append(MAGIC);
+    this.append(record(OP.header, (out) => out.text("").text(schema.library)));
+    this.definitions().forEach((data) => this.append(data));
+    const head = this.parts.reduce((crc, part) => crc32(part, crc), 0);
+    this.writeMetadata("head", { crc32: head.toString(16).padStart(8, "0"), bytes: String(this.size) });
+  }
+
+  definitions() {
+    const schemas = this.schema.schemas.map(({ name, encoding, data }, i) => record(OP.schema, (out) => out.u16(i + 1).text(name).text(encoding).text(data)));
+    const channels = this.schema.channels.map(({ topic, encoding }, i) => record(OP.channel, (out) => out.u16(i + 1).u16(i + 1).text(topic).text(encoding).map([])));
+    return [...schemas, ...channels];
+  }
+
+  append(data) {
+    const copy = data.slice();
+    this.parts.push(copy);
+    this.size += copy.length;
+    this.crc = crc32(copy, this.crc);
+  }
+
+  // Time on the log's axis [ms]: from the first tick logged, also after a restart of the board.
+  timeMs(tick) { return this.firstTick === null ? 0 : Math.max(0, tick - this.firstTick + this.shiftMs); }
+
+  // A batch with the ticks `tick`, `tick` + 1, ...; raw: one array a channel.
+  writeTicks({ tick, raw }) {
+    const count = raw[0].length;
+    if (this.firstTick === null) this.firstTick = tick;
+    if (this.lastTick !== null && tick <= this.lastTick) this.shiftMs += this.lastTick - tick + 1; // the board has restarted
+    else if (this.lastTick !== null) this.lost += tick - this.lastTick - 1;
+    this.lastTick = tick + count - 1;
+    this.ticks += count;
+    this.pending.push({ tick, raw, timeMs: this.timeMs(tick) });
+    if ((this.pendingTicks += count) >= CHUNK_TICKS) this.flush();
+  }
+
+  writeEvent(tick, name, text, level = 2) {
+    const timeMs = this.timeMs(tick), ns = this.startNs + BigInt(timeMs) * 1000000n;
+    const body = { timestamp: { sec: Number(ns / 1000000000n), nsec: Number(ns % 1000000000n) }, level, message: text, name, t_s: timeMs / 1000, tick: tick >>> 0 };
+    this.pending.push({ channel: EVENT, timeMs, body: ENCODER.encode(JSON.stringify(body)) });
+    this.events++;
+  }
+
+  writeLink(tick, counters) {
+    const timeMs = this.timeMs(tick);
+    this.pending.push({ channel: LINK, timeMs, body: ENCODER.encode(JSON.stringify({ t_s: timeMs / 1000, ...counters })) });
+  }
+
+  writeMetadata(name, values) {
+    this.flush();
+    const data = record(OP.metadata, (out) => out.text(name).map([...Object.entries(values), ["(crc32)", metadataCrc(name, values)]]));
+    this.metadata.push({ name, offset: this.size, length: data.length });
+    this.append(data);
+  }
+
+  flush() {
+    if (!this.pending.length) return;
+    const body = new Bytes(1 << 17), index = {};
+    let [firstNs, lastNs] = [null, 0n];
+    const note = (channel, ns, offset) => {
+      (index[channel] ??= []).push([ns, offset]);
+      firstNs = firstNs === null || ns < firstNs ? ns : firstNs;
+      lastNs = ns > lastNs ? ns : lastNs;
+    };
+    for (const part of this.pending) {
+      const ns = this.startNs + BigInt(part.timeMs) * 1000000n;
+      if (part.raw) this.tickMessages(body, part, ns, note);
+      else {
+        note(part.channel, ns, body.size);
+        body.u8(OP.message).u64(22 + part.body.length).u16(part.channel).u32(0).u64(ns).u64(ns).bytes(part.body);
+      }
+    }
+    [this.pending, this.pendingTicks] = [[], 0];
+    const offset = this.size, crc = crc32(body.data);
+    const chunk = record(OP.chunk, (out) => out.u64(firstNs).u64(lastNs).u64(body.size).u32(crc).text("").u64(body.size).bytes(body.data));
+    this.append(chunk);
+    const offsets = [];
+    for (const [channel, entries] of Object.entries(index)) {
+      offsets.push([Number(channel), this.size]);
+      this.append(record(OP.messageIndex, (out) => {
+        out.u16(channel).u32(16 * entries.length);
+        for (const [ns, at] of entries) out.u64(ns).u64(at);
+      }));
+      this.counts[channel] = (this.counts[channel] ?? 0) + entries.length;
+    }
+    this.chunks.push({ offset, length: chunk.length, bytes: body.size, firstNs, lastNs, offsets, indexLength: this.size - offset - chunk.length });
+    if (this.firstNs === null || firstNs < this.firstNs) this.firstNs = firstNs;
+    if (lastNs > this.lastNs) this.lastNs = lastNs;
+  }
+
+  tickMessages(body, { tick, raw, timeMs }, startNs, note) {
+    const { fields } = this.schema, size = fields.reduce((sum, { code }) => sum + Number(code[1]), 4);
+    for (let i = 0; i < raw[0].length; i++) {
+      const ns = startNs + BigInt(i) * 1000000n;
+      note(TICK, ns, body.size);
+      body.u8(OP.message).u64(22 + size).u16(TICK).u32((tick + i) >>> 0).u64(ns).u64(ns).u32(0x100);
+      for (const { name, code, channel, axis } of fields) {
+        let value = name === "t_s" ? (timeMs + i) / 1000 : name === "tick" ? (tick + i) >>> 0 : raw[channel][i];
+        if (axis !== null) value *= this.radPerCount[axis];
+        else if (code[0] === "f" && channel !== null) value *= CHANNELS[channel][3];
+        const at = body.room(Number(code[1])), kind = { f: "Float", u: "Uint", i: "Int" }[code[0]];
+        body.view[`set${kind}${8 * Number(code[1])}`](at, value, true);
+      }
+    }
+  }
+
+  // Returns the whole file.
+  close(metadata) {
+    this.flush();
+    for (const [name, values] of Object.entries(metadata)) this.writeMetadata(name, values);
+    const crc = this.crc, sum = (counts) => Object.values(counts).reduce((total, count) => total + count, 0);
+    this.append(record(OP.dataEnd, (out) => out.u32(crc)));
+    const definitions = this.definitions(), schemas = this.schema.schemas.length;
+    const statistics = record(OP.statistics, (out) => {
+      out.u64(sum(this.counts)).u16(schemas).u32(this.schema.channels.length).u32(0).u32(this.metadata.length).u32(this.chunks.length).u64(this.firstNs ?? 0n).u64(this.lastNs);
+      const counts = Object.entries(this.counts);
+      out.u32(10 * counts.length);
+      for (const [channel, count] of counts) out.u16(channel).u64(count);
+    });
+    const groups = [[OP.schema, definitions.slice(0, schemas)], [OP.channel, definitions.slice(schemas)], [OP.statistics, [statistics]],
+      [OP.chunkIndex, this.chunks.map((chunk) => this.chunkIndex(chunk))],
+      [OP.metadataIndex, this.metadata.map(({ name, offset, length }) => record(OP.metadataIndex, (out) => out.u64(offset).u64(length).text(name)))]];
+    const start = this.size, summary = new Bytes(), offsets = [];
+    for (const [op, records] of groups) {
+      const from = summary.size;
+      records.forEach((data) => summary.bytes(data));
+      if (summary.size > from) offsets.push(record(OP.summaryOffset, (out) => out.u8(op).u64(start + from).u64(summary.size - from)));
+    }
+    const offsetStart = start + summary.size;
+    offsets.forEach((data) => summary.bytes(data));
+    const footer = new Bytes().u8(OP.footer).u64(20).u64(start).u64(offsetStart);
+    footer.u32(crc32(footer.data, crc32(summary.data)));
+    [summary.data, footer.data, MAGIC].forEach((data) => this.append(data));
+    const file = new Uint8Array(this.size);
+    let at = 0;
+    for (const part of this.parts) {
+      file.set(part, at);
+      at += part.length;
+    }
+    return file;
+  }
+
+  chunkIndex({ offset, length, bytes, firstNs, lastNs, offsets, indexLength }) {
+    return record(OP.chunkIndex, (out) => {
+      out.u64(firstNs).u64(lastNs).u64(offset).u64(length).u32(10 * offsets.length);
+      for (const [channel, at] of offsets) out.u16(channel).u64(at);
+      out.u64(indexLength).text("").u64(bytes).u64(bytes);
+    });
+  }
+}
