@@ -201,15 +201,21 @@ export class Host {
     this.engine.preempt(this.nowS);
   }
 
+  // Waits until telemetry shows a state, or until a fault or a stop comes instead.
+  *waitFor(state, stops) {
+    const isReached = yield { until: () => this.state === state || this.state === "fault" || stops !== this.stops, forS: 2 };
+    if (!isReached) throw new HeliError(`telemetry does not show the state ${state}`, "check the link, then try again");
+  }
+
   *arm(stops) {
     yield* this.command("arm", {}, stops);
-    yield { until: () => this.state === "armed" || DOWN.includes(this.state), forS: 2 };
+    yield* this.waitFor("armed", stops);
   }
 
   *control(mask, stops) {
     yield* this.command("control", { axes: mask, front_V: 0, back_V: 0 }, stops);
     this.sendTarget(this.targetHere());
-    yield { until: () => this.state !== "armed", forS: 2 };
+    yield* this.waitFor("closed_loop", stops);
   }
 
   *takeOff(elevationDeg) {

@@ -22,11 +22,21 @@ class Bytes {
     return at;
   }
 
-  u8(value) { this.view.setUint8(this.room(1), value); return this; }
-  u16(value) { this.view.setUint16(this.room(2), value, true); return this; }
-  u32(value) { this.view.setUint32(this.room(4), value, true); return this; }
-  u64(value) { this.view.setBigUint64(this.room(8), BigInt(value), true); return this; }
-  bytes(data) { new Uint8Array(this.view.buffer).set(data, this.room(data.length)); return this; }
+  put(kind, size, value) {
+    const at = this.room(size); // may move the buffer
+    this.view[`set${kind}`](at, value, true);
+    return this;
+  }
+
+  u8(value) { return this.put("Uint8", 1, value); }
+  u16(value) { return this.put("Uint16", 2, value); }
+  u32(value) { return this.put("Uint32", 4, value); }
+  u64(value) { return this.put("BigUint64", 8, BigInt(value)); }
+  bytes(data) {
+    const at = this.room(data.length);
+    new Uint8Array(this.view.buffer).set(data, at);
+    return this;
+  }
   text(text) { const data = ENCODER.encode(text); return this.u32(data.length).bytes(data); }
   map(entries) {
     const inner = new Bytes();
@@ -154,8 +164,7 @@ export class LogWriter {
         let value = name === "t_s" ? (timeMs + i) / 1000 : name === "tick" ? (tick + i) >>> 0 : raw[channel][i];
         if (axis !== null) value *= this.radPerCount[axis];
         else if (code[0] === "f" && channel !== null) value *= CHANNELS[channel][3];
-        const at = body.room(Number(code[1])), kind = { f: "Float", u: "Uint", i: "Int" }[code[0]];
-        body.view[`set${kind}${8 * Number(code[1])}`](at, value, true);
+        body.put(`${{ f: "Float", u: "Uint", i: "Int" }[code[0]]}${8 * Number(code[1])}`, Number(code[1]), value);
       }
     }
   }

@@ -118,3 +118,64 @@ def replayed(node: str, board: Path, setup: Mapping[str, Any], calls: list[list[
     answer: dict[str, Any] = json.loads(result.stdout)
     answer["sent"] = base64.b64decode(answer["sent"])
     return answer
+
+
+class RecordedEngine:
+    """Remembers what a session asks of its protocol, and the bytes that this sends."""
+
+    def __init__(self, engine: Any) -> None:
+        self.calls: list[list[Any]] = []
+        self.sent: list[str] = []
+        self._engine = engine
+        self._now_s = 0.0
+        self._kept: Any = None
+        self._ticks = 0
+        engine.receive = self._recorded(engine.receive, self._receive)
+        engine.outgoing = self._recorded(engine.outgoing, self._outgoing)
+        engine.cut = self._recorded(engine.cut, lambda now_s, *_: self.calls.append(["cut", now_s]))
+        engine.commands.ask = self._recorded(engine.commands.ask, self._ask)
+        engine.streams.put = self._recorded(engine.streams.put, self._put)
+
+    @staticmethod
+    def _recorded(call: Any, note: Any) -> Any:
+        def recorded(*arguments: Any, **named: Any) -> Any:
+            after = note(*arguments, **named)
+            result = call(*arguments, **named)
+            if callable(after):
+                after(result)
+            return result
+
+        return recorded
+
+    def _receive(self, data: bytes, now_s: float, _: int) -> None:
+        self._now_s = now_s
+        self.calls.append(["receive", now_s, _text(bytes(data))])
+
+    def _outgoing(self, now_s: float) -> Any:
+        kept = self._engine.streams.kept
+        if kept is not self._kept:
+            self._kept = kept
+            self.calls.append(["kept", now_s, *([None] if kept is None else [int(kept.ID), _text(kept.pack())])])
+        self.calls.append(["outgoing", now_s])
+        return lambda sent: self.sent.append(_text(sent))
+
+    def _ask(self, command: Any, now_s: float, _: float) -> None:
+        from heli_host.declaration import StopMessage
+
+        is_stop = isinstance(command, StopMessage)
+        self.calls.append(
+            ["preempt", now_s] if is_stop else ["ask", now_s, int(command.ID), _text(command.pack())]
+        )
+
+    def _put(self, message: Any) -> None:
+        self.calls.append(["put", self._now_s, int(message.ID), _text(message.pack())])
+
+
+def engine_replayed(node: str, calls: list[list[Any]]) -> dict[str, Any]:
+    """Play recorded calls into the small host's engine; return what it sent and received."""
+    script = Path(__file__).with_name("engine.mjs")
+    result = subprocess.run([node, str(script)], input=json.dumps(calls), capture_output=True, text=True, check=False)
+    if result.returncode:
+        raise RuntimeError(result.stderr)
+    answer: dict[str, Any] = json.loads(result.stdout)
+    return answer
