@@ -1,6 +1,6 @@
 # Two commands matter: `make fly` and `make test`. Everything they need is set up in .venv by .ci/setup.
 .DEFAULT_GOAL := help
-.PHONY: help setup fly docs quick test long check bench blind mutants fuzz soak attack prove firmware release clean
+.PHONY: help setup fly web docs quick test long check bench blind mutants fuzz soak attack prove firmware release clean
 
 PLANS ?= hover sine
 SPEED ?= 1
@@ -30,6 +30,10 @@ setup: ## install everything for flying, tests and benchmarks into .venv
 fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"] [BOARD=due|native]
 	@.ci/setup fly
 	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
+
+web: ## write build/web/heli-lab.html, a page that flies in a browser
+	@.ci/setup test
+	@$(HELI) web --output build/web/heli-lab.html
 
 docs: ## build the site in build/docs/index.html; a warning or a broken link fails
 	@.ci/setup docs

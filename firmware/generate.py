@@ -33,7 +33,7 @@ WRITERS = {
     "docs/reference/faults.md": generate_faults,
     "docs/reference/parameters.md": generate_parameters,
     "docs/matlab/heli_declaration.m": generate_matlab,
-    "sim/web/page/declaration.js": generate_javascript,
+    "sim/web/heli_web/page/declaration.js": generate_javascript,
 }
 
 

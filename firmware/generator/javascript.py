@@ -8,7 +8,7 @@ from firmware.generator.declared import STRUCT_CODE, Table, full_fields, link_ha
 
 
 def generate_javascript(d: Table) -> str:
-    """Return the text of sim/web/page/declaration.js."""
+    """Return the text of sim/web/heli_web/page/declaration.js."""
     link = d["link"]
     names = {
         name: {entry: values["value"] for entry, values in rows(entries)}

@@ -7,17 +7,20 @@ import gzip
 import json
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Final
 
-from heli_host.fly.plan import Plan
+from heli_sim.errors import OptionError
+from heli_sim.rig import load_rig
 
-from heli_web.facts import page_facts
+from heli_web.compiler import built_board, is_checkout
+from heli_web.facts import RIGS, combined_facts, page_facts
+from heli_web.puzzle import hidden_facts
 
-_PAGE: Final = Path(__file__).resolve().parents[1] / "page"
+_PAGE: Final = Path(__file__).resolve().parent / "page"
 _DASHBOARD: Final = "heli_host.ui.page"
 _POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval' blob:; worker-src blob:; "
@@ -38,25 +41,10 @@ _OWN_TAB: Final = (
 )
 
 
-def build_page(
-    board: bytes, plans: Sequence[Plan], firmware: Sequence[tuple[int, bytes]] = (), puzzle: Mapping[str, Any] | None = None
-) -> str:
-    """Return the text of the page.
-
-    Parameters
-    ----------
-    board : bytes
-        The WebAssembly module of `heli_web.compiler`.
-    plans : sequence of Plan
-        Plans that the page offers.
-    firmware : sequence of (int, bytes)
-        Address and bytes of each segment of the firmware for the emulated Due; empty leaves this board out.
-    puzzle : Mapping, optional
-        Effect that the page hides, and the seal of its logs; see `heli_web.puzzle`.
+def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[int, bytes]] = ()) -> str:
+    """Return the text of a page from the module of the boards, its facts, and the segments of the firmware for
+    the emulated Due; without segments the page does not offer this board.
     """
-    facts = page_facts(plans, {plan.name: tomllib.loads(plan.text) for plan in plans})
-    if puzzle is not None:
-        facts = {**facts, "effects": [], "puzzle": dict(puzzle)}
     static = files(_DASHBOARD) / "static"
     modules = [[name, _static(static, name)] for name in _SHOWN]
     modules += [[name, (_PAGE / name).read_text("utf-8")] for name in ("settings.js", "lab.js")]
@@ -115,17 +103,52 @@ def _static(folder: Traversable, name: str) -> str:
     return gzip.decompress((parent / f"{part}.gz").read_bytes()).decode()
 
 
-def main() -> None:
-    """Build the page with all shipped plans."""
-    import sys
-
+def write_page(
+    output: Path,
+    plan_list: Sequence[str],
+    rig: str | None,
+    effect_texts: Sequence[str],
+    *,
+    puzzle: bool = False,
+    progress: Callable[[str], object] = lambda _: None,
+) -> list[str]:
+    """Write a page, and the truth file of a puzzle; return the lines about them for the user."""
+    from heli_host.data.log.blind import Truth, truth_path
+    from heli_host.errors import HeliError
     from heli_host.fly.plan import load_plan, plan_names
+    from heli_host.data.files import write_bytes
     from heli_sim.due.firmware import find_firmware, read_firmware
+    from heli_sim.model.effects.parse import parse_effects
 
-    image = read_firmware(find_firmware())
-    page = build_page(Path(sys.argv[1]).read_bytes(), [load_plan(name) for name in plan_names()], image.segments)
-    Path(sys.argv[2]).write_text(page, encoding="utf-8")
+    if puzzle and not effect_texts:
+        raise OptionError("a puzzle hides nothing", "name what it hides, such as --effect cable_spring.travel=0.06")
+    plans = [load_plan(name) for name in plan_list or plan_names()]
+    effects = parse_effects(effect_texts)
+    loaded = [load_rig(name) for name in ((rig,) if rig else RIGS)]
+    board = board_module(progress)
+    lines, segments = [f"page: {output}"], ()
+    try:
+        firmware = find_firmware()
+        segments = read_firmware(firmware).segments
+    except HeliError as error:
+        lines.append(f"without the emulated Due: {error}")
+    facts = page_facts(plans, {plan.name: tomllib.loads(plan.text) for plan in plans}, loaded)
+    if puzzle:
+        truth = Truth.seal({"rig": loaded[0].name, "effects": list(effect_texts), "plans": [plan.name for plan in plans]})
+        facts = {**facts, "effects": [], "puzzle": hidden_facts(effects, loaded[0], truth), "rigs": facts["rigs"][:1]}
+        place = truth_path(output)
+        truth.write(place)
+        lines += [f"sealed: {truth.digest}", f"truth (keep it, share only the page): {place}"]
+    elif effects:
+        combined = combined_facts(effects, loaded[0])
+        facts = {**facts, "effects": [combined, *facts["effects"]], "start": combined["id"]}
+    write_bytes(output, page_text(board, facts, segments).encode())
+    return lines
 
 
-if __name__ == "__main__":
-    main()
+def board_module(progress: Callable[[str], object]) -> bytes:
+    """Return the WebAssembly module of the boards: that of the package, or compiled from the sources."""
+    packaged = Path(__file__).with_name("board.wasm")
+    if packaged.exists() and not is_checkout():
+        return packaged.read_bytes()
+    return built_board(progress).read_bytes()

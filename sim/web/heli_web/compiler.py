@@ -6,10 +6,15 @@ three files of LLVM's libc++abi and libunwind that implement them are in the pac
 
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
+
+from heli_sim.errors import SimError
 
 _ROOT: Final = Path(__file__).resolve().parents[3]
 _TARGET: Final = ("-target", "wasm32-wasi", "-mcpu=generic+exception_handling+bulk_memory", "-fwasm-exceptions")
@@ -40,10 +45,17 @@ def compile_board(output: Path, root: Path = _ROOT) -> None:
     """Compile flight code, world and emulated Due to the WebAssembly module `output`."""
     import ziglang
 
-    library = Path(ziglang.__file__).parent / "lib"
-    build = output.parent
-    build.mkdir(parents=True, exist_ok=True)
-    objects = []
+    output.parent.mkdir(parents=True, exist_ok=True)
+    # In a folder of its own, and renamed, because two processes may compile at the same time.
+    with tempfile.TemporaryDirectory(dir=output.parent) as folder:
+        built = Path(folder) / output.name
+        _compile(built, root, Path(ziglang.__file__).parent / "lib")
+        built.replace(output)
+
+
+def _compile(output: Path, root: Path, library: Path) -> None:
+    """Compile and link the module `output`, next to which its objects are; `library` is ziglang's."""
+    build, objects = output.parent, []
     for name in _EXCEPTIONS:
         source = library / name
         objects.append(build / f"{source.stem}.o")
@@ -79,8 +91,32 @@ def compile_board(output: Path, root: Path = _ROOT) -> None:
 
 
 def _run(*arguments: str) -> None:
-    subprocess.run([sys.executable, "-m", "ziglang", *arguments], check=True)
+    result = subprocess.run(
+        [sys.executable, "-m", "ziglang", *arguments], capture_output=True, text=True, check=False
+    )
+    if result.returncode:
+        lines = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
+        raise SimError(f"the compiler for WebAssembly failed: {lines[0]}", "report it")
 
 
-if __name__ == "__main__":
-    compile_board(Path(sys.argv[1]))
+def is_checkout() -> bool:
+    """Whether this package is that of a checkout, with the sources of flight code and emulator."""
+    return (_ROOT / "firmware/link.toml").exists()
+
+
+def built_board(progress: Callable[[str], object]) -> Path:
+    """Return the WebAssembly module of this checkout, compiled if it is older than its sources."""
+    output = _ROOT / "build/web/board.wasm"
+    if not is_checkout():
+        raise SimError(
+            "this package has no WebAssembly module", "build the page in a checkout of the sources: make web"
+        )
+    headers = [path for folder in _INCLUDES for path in (_ROOT / folder).rglob("*.hpp")]
+    newest_s = max(path.stat().st_mtime for path in (*sources(), *headers, Path(__file__)))
+    if output.exists() and output.stat().st_mtime >= newest_s:
+        return output
+    if importlib.util.find_spec("ziglang") is None:
+        raise SimError("the compiler for WebAssembly is missing", "pip install ziglang")
+    progress("compiling flight code and emulated Due to WebAssembly; the first time takes two minutes")
+    compile_board(output)
+    return output

@@ -6,22 +6,21 @@ import base64
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-from heli_host.data.log.records import _CHANNELS, _SCHEMAS
-from heli_host.data.log.schema import _tick_fields
+from heli_host.data.files import LOG_WRITER
+from heli_host.data.log import schema
 from heli_host.declaration import CHANNELS, FAULTS, LINK_VERSION, PARAMS
-from heli_host.files import LOG_WRITER
 from heli_host.fly.plan import Plan
-from heli_host.release import installed_version
+from heli_host.link.installation import installed_version
 from heli_host.ui.page.source import channel_rows, parameter_rows, state_rows
 from heli_sim.errors import SimError
 from heli_sim.model.base import Model
+from heli_sim.model.effect import Effect
 from heli_sim.model.effects.catalogue import catalogue
 from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.named import model_named
 from heli_sim.plant import LIMITS, extras, step_function
-from heli_sim.rig import Rig, load_rig
+from heli_sim.rig import Rig
 from heli_sim.rig.board import in_simulation
 from heli_sim.rig.encoders import count_rad, directions
 from heli_sim.sil.flash_pages import saved
@@ -101,25 +100,55 @@ def log_facts() -> dict[str, Any]:
     """Return the layout of a log: schemas, channels, and the fields of a tick."""
     columns = {spec.field: (index, None) for index, spec in enumerate(CHANNELS)}
     columns |= {spec.column: (index, int(spec.axis)) for index, spec in enumerate(CHANNELS) if spec.axis is not None}
-    fields = sorted(_tick_fields(), key=lambda field: -np.dtype(field.code).itemsize)
+    fields = schema.TICK_LAYOUT.dtype.fields or {}
     return {
         "library": f"{LOG_WRITER} {LINK_VERSION})",
-        "schemas": [{"name": s.name, "encoding": s.encoding, "data": s.data.decode()} for s in _SCHEMAS],
-        "channels": [{"topic": c.topic, "encoding": c.message_encoding} for c in _CHANNELS],
+        "schemas": [
+            {"name": schema.TICK_SCHEMA_NAME, "encoding": "ros2msg", "data": schema.TICK_SCHEMA},
+            {"name": schema.EVENT_SCHEMA_NAME, "encoding": "jsonschema", "data": schema.EVENT_SCHEMA},
+            {"name": schema.LINK_SCHEMA_NAME, "encoding": "jsonschema", "data": schema.LINK_SCHEMA},
+        ],
+        "channels": [
+            {"topic": schema.TICK_TOPIC, "encoding": "cdr"},
+            {"topic": schema.EVENT_TOPIC, "encoding": "json"},
+            {"topic": schema.LINK_TOPIC, "encoding": "json"},
+        ],
         "fields": [
             {
-                "name": field.name,
-                "code": np.dtype(field.code).str[1:],
-                "channel": columns.get(field.name, (None, None))[0],
-                "axis": columns.get(field.name, (None, None))[1],
+                "name": name,
+                "code": kind.str[1:],
+                "channel": columns.get(name, (None, None))[0],
+                "axis": columns.get(name, (None, None))[1],
             }
-            for field in fields
+            for name, (kind, *_) in fields.items()
         ],
     }
 
 
-def page_facts(plans: Sequence[Plan], tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return all facts of a page with these plans; `tables` are their parsed TOML tables by name."""
+def combined_facts(effects: tuple[Effect, ...], rig: Rig) -> dict[str, Any]:
+    """Return several effects with given values as one effect of the page."""
+    model, kinds = MultibodyModel(effects), catalogue()
+    values = dict(zip(model.parameter_names, model.parameter_values(rig), strict=True))
+    name = "+".join(effect.name for effect in effects)
+    parameters = []
+    for effect in effects:
+        kind = kinds[effect.name]
+        for parameter, quantity in zip(kind.numbers, effect.parameters, strict=True):
+            value = float(values[quantity.name])
+            facts = _parameter_facts(kind, parameter)
+            low, high = min(facts["low"], value), max(facts["high"], value)
+            parameters.append(
+                facts
+                | {"name": f"{name}.{parameter.name if len(effects) == 1 else facts['name']}", "low": low, "high": high}
+                | {"symbol": quantity.name, "typical": value}
+            )
+    return {"id": name, "sentence": "as the page was made", "parameters": parameters, "override": {}, "plant": plant_facts(model)}
+
+
+def page_facts(
+    plans: Sequence[Plan], tables: Mapping[str, Mapping[str, Any]], rigs: Sequence[Rig]
+) -> dict[str, Any]:
+    """Return all facts of a page with these plans and rigs; `tables` are the plans' parsed TOML tables."""
     values = {spec.name: spec.default for spec in PARAMS}
     effects = [facts for kind in catalogue().values() if (facts := effect_facts(kind)) is not None]
     return {
@@ -142,7 +171,7 @@ def page_facts(plans: Sequence[Plan], tables: Mapping[str, Mapping[str, Any]]) -
         "plans": [
             {"name": plan.name, "title": plan.title, "text": plan.text, "table": tables[plan.name]} for plan in plans
         ],
-        "rigs": [rig_facts(load_rig(name)) for name in RIGS],
+        "rigs": [rig_facts(rig) for rig in rigs],
         "plants": {"": plant_facts(MultibodyModel())},
         "effects": effects,
     }

@@ -1,9 +1,9 @@
 // Flies plans with the small host, without a browser. Standard input: {board, facts, settings, plans, log}; the log is
 // written to a file, and the outcome to standard output.
 import { readFileSync, writeFileSync } from "node:fs";
-import { Host } from "../page/host.js";
-import { defaultSettings, worldSetup } from "../page/settings.js";
-import { WorldFactory } from "../page/world.js";
+import { Host } from "../../sim/web/heli_web/page/host.js";
+import { defaultSettings, worldSetup } from "../../sim/web/heli_web/page/settings.js";
+import { WorldFactory } from "../../sim/web/heli_web/page/world.js";
 
 const { board, facts, settings, plans, log, seconds = 0, elf = null } = JSON.parse(readFileSync(0, "utf8"));
 const chosen = { ...defaultSettings(facts), ...settings };

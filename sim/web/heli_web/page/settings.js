@@ -27,7 +27,7 @@ function choice(text, name, known) {
   return text;
 }
 
-export function defaultSettings(facts) { return { rig: facts.rigs[0].name, board: "native", effect: facts.puzzle ? facts.puzzle.effect : "", values: {}, seed: 1, plan: "", gains: {}, speed: 1 }; }
+export function defaultSettings(facts) { return { rig: facts.rigs[0].name, board: "native", effect: facts.puzzle?.effect ?? facts.start ?? "", values: {}, seed: 1, plan: "", gains: {}, speed: 1 }; }
 
 // From the text behind the # of an address; throws a SettingsError with one sentence.
 export function readAddress(text, facts, hasFirmware) {

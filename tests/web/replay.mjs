@@ -1,7 +1,7 @@
 // Plays the calls of a recorded simulation into the WebAssembly build, and prints what its board sent.
 // Standard input: {board, setup, calls}; standard output: {sent: base64, volts, states, seconds}.
 import { readFileSync } from "node:fs";
-import { WorldFactory } from "../page/world.js";
+import { WorldFactory } from "../../sim/web/heli_web/page/world.js";
 
 const bytes = (text) => Uint8Array.from(Buffer.from(text, "base64"));
 const { board, setup, calls } = JSON.parse(readFileSync(0, "utf8"));

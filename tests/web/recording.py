@@ -17,7 +17,7 @@ from heli_sim.sil.world import SilWorld
 from heli_web.plant import plant_module
 
 
-def _text(data: bytes) -> str:
+def encoded(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
@@ -49,7 +49,7 @@ class RecordedWorld:
         world.board.sim = Board()
 
     def advance(self, ticks: int, rx: bytes, until_output: bool, least: int = 1) -> tuple[int, bytes]:
-        self.calls.append(["advance", ticks, _text(bytes(rx)), until_output, least])
+        self.calls.append(["advance", ticks, encoded(bytes(rx)), until_output, least])
         passed, sent = self._native.advance(ticks, bytes(rx), until_output, least)
         self.sent += sent
         return passed, sent
@@ -89,14 +89,14 @@ def setup_of(world: SilWorld) -> dict[str, Any]:
     delayed = [index for index, state in enumerate(plant.extras.states) if state.name.endswith("_ms_ago")]
     count = len(rest) - len(delayed)
     setup: dict[str, Any] = {
-        "plant": _text(plant_module(step_function(model))),
+        "plant": encoded(plant_module(step_function(model))),
         "state": rest[:count].tolist(),
         "parameters": parameters,
         "supply_V": rig["supply"].value,
         "dead_band": rig["driver_dead_band"].value,
         "counts_per_rad": (directions(rig) / count_rad(rig)).tolist(),
         "offset_count": offsets.tolist(),
-        "flash": _text(saved(world.set_from_rig) if world.set_from_rig else b"\xff" * 2048),
+        "flash": encoded(saved(world.set_from_rig) if world.set_from_rig else b"\xff" * 2048),
         "seed": options.seed,
         "delay_s": plant.extras.delay_s,
     }
@@ -104,7 +104,7 @@ def setup_of(world: SilWorld) -> dict[str, Any]:
         from heli_sim.due.firmware import read_firmware
 
         image = read_firmware(options.elf)
-        setup["elf"] = [{"address": address, "content": _text(data)} for address, data in image.segments]
+        setup["elf"] = [{"address": address, "content": encoded(data)} for address, data in image.segments]
     return setup
 
 
@@ -149,26 +149,26 @@ class RecordedEngine:
 
     def _receive(self, data: bytes, now_s: float, _: int) -> None:
         self._now_s = now_s
-        self.calls.append(["receive", now_s, _text(bytes(data))])
+        self.calls.append(["receive", now_s, encoded(bytes(data))])
 
     def _outgoing(self, now_s: float) -> Any:
         kept = self._engine.streams.kept
         if kept is not self._kept:
             self._kept = kept
-            self.calls.append(["kept", now_s, *([None] if kept is None else [int(kept.ID), _text(kept.pack())])])
+            self.calls.append(["kept", now_s, *([None] if kept is None else [int(kept.ID), encoded(kept.pack())])])
         self.calls.append(["outgoing", now_s])
-        return lambda sent: self.sent.append(_text(sent))
+        return lambda sent: self.sent.append(encoded(sent))
 
     def _ask(self, command: Any, now_s: float, _: float) -> None:
         from heli_host.declaration import StopMessage
 
         is_stop = isinstance(command, StopMessage)
         self.calls.append(
-            ["preempt", now_s] if is_stop else ["ask", now_s, int(command.ID), _text(command.pack())]
+            ["preempt", now_s] if is_stop else ["ask", now_s, int(command.ID), encoded(command.pack())]
         )
 
     def _put(self, message: Any) -> None:
-        self.calls.append(["put", self._now_s, int(message.ID), _text(message.pack())])
+        self.calls.append(["put", self._now_s, int(message.ID), encoded(message.pack())])
 
 
 def engine_replayed(node: str, calls: list[list[Any]]) -> dict[str, Any]:

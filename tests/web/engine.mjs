@@ -1,7 +1,7 @@
 // Plays the calls of a recorded session of heli_host into the small host's engine; prints the bytes that it sends.
 import { readFileSync } from "node:fs";
-import { Engine } from "../page/engine.js";
-import { NAME_OF_ID, unpack } from "../page/frames.js";
+import { Engine } from "../../sim/web/heli_web/page/engine.js";
+import { NAME_OF_ID, unpack } from "../../sim/web/heli_web/page/frames.js";
 
 const bytes = (text) => Uint8Array.from(Buffer.from(text, "base64"));
 const message = (id, text) => unpack(NAME_OF_ID[id], bytes(text));

@@ -1,0 +1,43 @@
+"""``heli-host web``: the page that flies in a browser, as one file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from heli_host.ui.cli.options import EffectOption, RigOption
+from heli_host.ui.cli.say import say, say_progress
+from heli_host.ui.cli.verb import Verb
+
+
+def web(
+    plans: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[PLAN]...", help="Names or files of the plans that the page offers.  [default: all]"),
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE.html", help="Write the page to FILE.html.")
+    ] = Path("heli-lab.html"),
+    rig: RigOption = None,
+    effect: EffectOption = None,
+    puzzle: Annotated[
+        bool,
+        typer.Option("--puzzle", help="Hide the effects, and write them with a seal to FILE.truth.json."),
+    ] = False,
+) -> None:
+    """Write a page that flies the simulated rig in a browser, without an installation.
+
+    The page is one file. It loads nothing from the internet and works offline: send it to students. It contains
+    the flight code, the emulated Due if its firmware is built, and all effects of the catalogue. With --effect,
+    the page begins with these effects. With --puzzle, it hides them: the logs that students save contain the
+    digest of FILE.truth.json, and `heli-host info LOG --truth FILE.truth.json` checks it.
+    """
+    from heli_web.build import write_page
+
+    lines = write_page(output, plans or [], rig, effect or [], puzzle=puzzle, progress=say_progress)
+    for line in lines:
+        say(line)
+
+
+VERB = Verb(web, "Simulation")

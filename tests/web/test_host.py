@@ -1,0 +1,106 @@
+"""The small host sends the frames of heli_host, and heli_host reads its logs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from heli_host.data.log.reader import read_log
+from heli_host.errors import HeliError
+from heli_host.fly.heli import Heli
+from heli_host.fly.plan import load_plan
+from heli_host.link.session import Session
+from heli_sim.rig import load_rig
+from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.options import parse_url
+from heli_sim.sil.world import SilWorld
+from heli_web.facts import page_facts
+
+from tests.web.recording import RecordedEngine, engine_replayed
+
+pytestmark = pytest.mark.slow
+LINKS = {"quiet": "", "noise": "&flip=1e-5&seed=4", "interruption": "&unplug=8:1.5&stall=14:0.4"}
+
+
+@pytest.fixture(scope="module")
+def facts() -> dict[str, Any]:
+    plan = load_plan("step")
+    return page_facts([plan], {"step": tomllib.loads(plan.text)}, [load_rig("makki2024")])
+
+
+@pytest.mark.parametrize("link", LINKS)
+def test_small_host_sends_the_frames_of_heli_host(node: str, tmp_path: Path, link: str) -> None:
+    world = SilWorld(parse_url(f"sil://?board=native{LINKS[link]}"))
+    session = Session(InProcessTransport(world), session_number=1)
+    recorded = RecordedEngine(session._engine)
+    session.connect()
+    heli = Heli(session)
+    try:
+        heli.take_off()
+        heli.setpoint(travel_deg=10.0)
+        heli.params.set("travel_kp", 0.5)
+        heli.wait(10.0)
+        heli.land()
+    except HeliError:
+        heli.wait(1.0)
+    session.stop_now()
+    heli.wait(0.5)
+    heli.close()
+    answer = engine_replayed(node, recorded.calls)
+    assert answer["sent"] == recorded.sent
+    counters = session.counters
+    for name in ("frames_ok", "frames_bad", "frames_lost", "retries", "ticks_received", "ticks_lost", "setpoints_sent"):
+        assert answer["counters"][name] == getattr(counters, name), name
+    by_host = ("link_lost", "cable")
+    events = [[event.tick, event.kind, event.text] for event in session.events if event.kind not in by_host]
+    assert answer["events"] == events
+
+
+def flown(node: str, board: Path, facts: dict[str, Any], log: Path, **settings: Any) -> dict[str, Any]:
+    """Fly the plan step with the small host into a log."""
+    script = Path(__file__).with_name("fly.mjs")
+    given = {"board": str(board), "facts": facts, "settings": settings, "plans": ["step"], "log": str(log)}
+    result = subprocess.run([node, str(script)], input=json.dumps(given), capture_output=True, text=True, check=True)
+    answer: dict[str, Any] = json.loads(result.stdout)
+    return answer
+
+
+def test_heli_host_reads_a_log_of_the_small_host(
+    board: Path, node: str, facts: dict[str, Any], tmp_path: Path
+) -> None:
+    answer = flown(node, board, facts, tmp_path / "page.mcap", effect="rotor_lag", values={"rotor_lag.s": 0.12})
+    log = read_log(tmp_path / "page.mcap")
+    assert answer["outcome"] == log.metadata["result"]["outcome"] == "completed"
+    assert not log.notes
+    assert log.ticks_lost == 0
+    assert len(log.ticks) == int(log.metadata["result"]["ticks_logged"]) > 40_000
+    assert np.all(np.diff(log.ticks["tick"].astype(np.int64)) == 1)
+    assert log.metadata["plan"] == {"step": load_plan("step").text}
+    assert [str(event["message"]) for event in log.events if event["name"] == "phase"] == ["take-off", "step", "landing"]
+    assert float(log.metadata["parameters"]["travel_kp"]) == log.parameters["travel_kp"]
+
+
+def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(
+    board: Path, node: str, facts: dict[str, Any], tmp_path: Path
+) -> None:
+    # Commands leave some milliseconds apart, so the flights agree within the tracking error, not bit by bit.
+    flown(node, board, facts, tmp_path / "page.mcap")
+    with Heli(_connected("sil://?board=native")) as heli:
+        heli.fly("step", log=tmp_path / "host.mcap")
+    page, host = read_log(tmp_path / "page.mcap"), read_log(tmp_path / "host.mcap")
+    rows = min(len(page.ticks), len(host.ticks))
+    assert abs(len(page.ticks) - len(host.ticks)) < 100
+    for axis in ("elevation", "travel"):
+        difference = page.ticks[f"{axis}_rad"][:rows] - host.ticks[f"{axis}_rad"][:rows]
+        assert np.degrees(np.sqrt(np.mean(difference**2))) < 0.5
+
+
+def _connected(url: str) -> Session:
+    session = Session(InProcessTransport(SilWorld(parse_url(url))), session_number=1)
+    session.connect()
+    return session
