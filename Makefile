@@ -32,7 +32,8 @@ fly: ## fly the simulated helicopter: make fly [SPEED=5|max] [PLANS="hover sine"
 	@$(HELI) fly $(PLANS) --sil --board $(BOARD) --speed $(SPEED)
 
 web: ## write build/web/heli-lab.html, a page that flies in a browser
-	@.ci/setup test
+	@.ci/setup fly
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check 'ziglang>=0.14'
 	@$(HELI) web --output build/web/heli-lab.html
 
 docs: ## build the site in build/docs/index.html; a warning or a broken link fails

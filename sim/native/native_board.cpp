@@ -64,7 +64,8 @@ NativeBoard::NativeBoard(const std::string& flash_file, bool from_edges, std::ui
   memory_.flash_file = flash_file;
   if (flash_file.empty()) return;
   const File file = open_file(flash_file, "rb");
-  if (file && std::fread(memory_.flash.data(), 1, memory_.flash.size(), file.get()) != memory_.flash.size()) {
+  if (file && std::fread(memory_.flash.data(), 1, memory_.flash.size(), file.get()) !=
+                  memory_.flash.size()) {
     throw std::runtime_error("the flash file " + flash_file + " is not " +
                              std::to_string(memory_.flash.size()) +
                              " bytes long; delete it, it is made again");

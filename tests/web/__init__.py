@@ -1,1 +1,1 @@
-"""The page that flies in a browser: the bytes of its boards, its small host, its logs, and the page in Chromium."""
+"""The page that flies in a browser: bytes of its boards, its small host, its logs, the page in Chromium."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,7 @@ from heli_sim.sil.options import parse_url
 from heli_sim.sil.world import SilWorld
 from heli_web.facts import page_facts
 
-from tests.web.recording import RecordedEngine, engine_replayed
+from tests.web.recording import RecordedEngine, run_script
 
 pytestmark = pytest.mark.slow
 LINKS = {"quiet": "", "noise": "&flip=1e-5&seed=4", "interruption": "&unplug=8:1.5&stall=14:0.4"}
@@ -51,10 +49,18 @@ def test_small_host_sends_the_frames_of_heli_host(node: str, tmp_path: Path, lin
     session.stop_now()
     heli.wait(0.5)
     heli.close()
-    answer = engine_replayed(node, recorded.calls)
+    answer = run_script(node, "engine.mjs", recorded.calls)
     assert answer["sent"] == recorded.sent
     counters = session.counters
-    for name in ("frames_ok", "frames_bad", "frames_lost", "retries", "ticks_received", "ticks_lost", "setpoints_sent"):
+    for name in (
+        "frames_ok",
+        "frames_bad",
+        "frames_lost",
+        "retries",
+        "ticks_received",
+        "ticks_lost",
+        "setpoints_sent",
+    ):
         assert answer["counters"][name] == getattr(counters, name), name
     by_host = ("link_lost", "cable")
     events = [[event.tick, event.kind, event.text] for event in session.events if event.kind not in by_host]
@@ -63,17 +69,17 @@ def test_small_host_sends_the_frames_of_heli_host(node: str, tmp_path: Path, lin
 
 def flown(node: str, board: Path, facts: dict[str, Any], log: Path, **settings: Any) -> dict[str, Any]:
     """Fly the plan step with the small host into a log."""
-    script = Path(__file__).with_name("fly.mjs")
     given = {"board": str(board), "facts": facts, "settings": settings, "plans": ["step"], "log": str(log)}
-    result = subprocess.run([node, str(script)], input=json.dumps(given), capture_output=True, text=True, check=True)
-    answer: dict[str, Any] = json.loads(result.stdout)
+    answer: dict[str, Any] = run_script(node, "fly.mjs", given)
     return answer
 
 
 def test_heli_host_reads_a_log_of_the_small_host(
     board: Path, node: str, facts: dict[str, Any], tmp_path: Path
 ) -> None:
-    answer = flown(node, board, facts, tmp_path / "page.mcap", effect="rotor_lag", values={"rotor_lag.s": 0.12})
+    answer = flown(
+        node, board, facts, tmp_path / "page.mcap", effect="rotor_lag", values={"rotor_lag.s": 0.12}
+    )
     log = read_log(tmp_path / "page.mcap")
     assert answer["outcome"] == log.metadata["result"]["outcome"] == "completed"
     assert not log.notes
@@ -81,7 +87,11 @@ def test_heli_host_reads_a_log_of_the_small_host(
     assert len(log.ticks) == int(log.metadata["result"]["ticks_logged"]) > 40_000
     assert np.all(np.diff(log.ticks["tick"].astype(np.int64)) == 1)
     assert log.metadata["plan"] == {"step": load_plan("step").text}
-    assert [str(event["message"]) for event in log.events if event["name"] == "phase"] == ["take-off", "step", "landing"]
+    assert [str(event["message"]) for event in log.events if event["name"] == "phase"] == [
+        "take-off",
+        "step",
+        "landing",
+    ]
     assert float(log.metadata["parameters"]["travel_kp"]) == log.parameters["travel_kp"]
 
 

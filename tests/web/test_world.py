@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +18,7 @@ from heli_sim.sil.options import parse_url
 from heli_sim.sil.world import SilWorld
 from heli_web.plant import plant_module
 
-from tests.web.recording import RecordedWorld, encoded, replayed, setup_of
+from tests.web.recording import RecordedWorld, encoded, replayed, run_script, setup_of
 
 STEPS = 40
 
@@ -43,7 +41,9 @@ def fly(world: SilWorld) -> None:
 
 
 @pytest.mark.parametrize("board_name", ["native", "due"])
-@pytest.mark.parametrize("fault", ["effect=rotor_lag=0.12", "encoder_out=pitch:5", "unplug=4:0.5", "supply_out=6"])
+@pytest.mark.parametrize(
+    "fault", ["effect=rotor_lag=0.12", "encoder_out=pitch:5", "unplug=4:0.5", "supply_out=6"]
+)
 def test_both_boards_send_the_bytes_of_the_native_build(
     board: Path, node: str, board_name: str, fault: str
 ) -> None:
@@ -78,12 +78,16 @@ def test_each_effect_of_the_catalogue_steps_as_in_casadi(board: Path, node: str)
             state, angles = plant.step(state, volts_V)
             steps.append([*state, *angles])
         module = encoded(plant_module(plant.function))
-        cases.append({"plant": module, "state": first, "parameters": plant.parameters.tolist(), "volts": inputs.tolist()})
+        cases.append(
+            {
+                "plant": module,
+                "state": first,
+                "parameters": plant.parameters.tolist(),
+                "volts": inputs.tolist(),
+            }
+        )
         expected.append(np.array(steps))
-    script = Path(__file__).with_name("plants.mjs")
-    given = json.dumps({"board": str(board), "cases": cases})
-    result = subprocess.run([node, str(script)], input=given, capture_output=True, text=True, check=True)
-    found = json.loads(result.stdout)
+    found = run_script(node, "plants.mjs", {"board": str(board), "cases": cases})
     assert len(found) == len(expected) > 40
     for kind_steps, steps in zip(found, expected, strict=True):
         np.testing.assert_allclose(np.array(kind_steps), steps, rtol=1e-9, atol=1e-12)

@@ -7,7 +7,7 @@ import gzip
 import json
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -27,71 +27,91 @@ _POLICY: Final = (
     "style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
 )
 _WORKER: Final = (
-    *("declaration.js", "frames.js", "engine.js", "vendor/fzstd.js", "zstd.js", "replay.js", "log.js", "plans.js"),
-    *("world.js", "settings.js", "host.js", "worker.js"),
+    *("declaration", "frames", "engine", "vendor/fzstd", "zstd", "replay", "log", "plans", "world"),
+    *("settings", "host", "worker"),
 )
 """Modules of the worker, each behind those that it imports."""
-_SHOWN: Final = (
-    *("vendor/three.core.min.js", "vendor/three.js", "keys.js", "history.js", "link.js", "scene.js", "strips.js"),
-    *("controls.js", "main.js"),
+_DASHBOARD_MODULES: Final = (
+    *("vendor/three.core.min", "vendor/three", "keys", "history", "link", "scene", "strips", "controls"),
+    "main",
 )
 """Modules of the dashboard, likewise."""
-_OWN_TAB: Final = (
-    '<button type="button" role="tab" id="tab-lab" aria-controls="lab" aria-selected="false" tabindex="-1">Lab</button>'
+_TAB: Final = (
+    '      <button type="button" role="tab" id="tab-lab" aria-controls="lab" aria-selected="false" '
+    'tabindex="-1">Lab</button>\n'
 )
+_BARS: Final = '<p id="lab-message" class="hint" role="status"></p>\n<p id="lab-paused" role="status"></p>\n'
 
 
 def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[int, bytes]] = ()) -> str:
-    """Return the text of a page from the module of the boards, its facts, and the segments of the firmware for
-    the emulated Due; without segments the page does not offer this board.
+    """Return the text of a page from the module of the boards, facts, and segments of the firmware.
+
+    Without segments the page does not offer the emulated Due.
     """
     static = files(_DASHBOARD) / "static"
-    modules = [[name, _static(static, name)] for name in _SHOWN]
-    modules += [[name, (_PAGE / name).read_text("utf-8")] for name in ("settings.js", "lab.js")]
+    modules = [[f"{name}.js", _static(static, f"{name}.js")] for name in _DASHBOARD_MODULES]
     parts = {
         "facts": facts,
-        "modules": modules,
-        "worker": bundle((_PAGE / name).read_text("utf-8") for name in _WORKER),
+        "modules": [*modules, *([name, _own(name)] for name in ("settings.js", "lab.js"))],
+        "worker": bundle(_own(f"{name}.js") for name in _WORKER),
         "uplot": _static(static, "vendor/uplot.js"),
     }
-    html = _static(static, "index.html")
-    html = re.sub(r'<(?:link|script)\b[^>]*>(?:</script>)?\n', "", html)
-    icon = base64.b64encode(_static(static, "icon.svg").encode()).decode()
-    style = "\n".join(
-        (_static(static, "vendor/uplot.css"), _static(static, "page.css"), (_PAGE / "lab.css").read_text("utf-8"))
-    )
+    packed = [_packed("parts", _json(parts)), _packed("board-module", board)]
+    if firmware:
+        segments = [{"address": address, "content": _base64(content)} for address, content in firmware]
+        packed.append(_packed("firmware", _json(segments)))
+    styles = (_static(static, "vendor/uplot.css"), _static(static, "page.css"), _own("lab.css"))
+    icon = _base64(_static(static, "icon.svg").encode())
     head = (
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-        f'<link rel="icon" href="data:image/svg+xml;base64,{icon}">\n<style>\n{style}\n</style>\n</head>'
+        f'<link rel="icon" href="data:image/svg+xml;base64,{icon}">\n'
+        f"<style>\n{''.join(styles)}\n</style>\n"
     )
-    html = html.replace("</head>", head, 1)
-    html = html.replace('    </div>\n    <div id="fly"', f'      {_OWN_TAB}\n    </div>\n    <div id="fly"', 1)
-    html = html.replace('    <div id="parameters"', f'{(_PAGE / "lab.html").read_text("utf-8")}    <div id="parameters"', 1)
-    bars = '<p id="lab-message" class="hint" role="status"></p>\n<p id="lab-paused" role="status"></p>\n<main>'
-    html = html.replace("<main>", bars, 1)
-    data = {"parts": json.dumps(parts, separators=(",", ":")).encode(), "board-module": board}
-    if firmware:
-        segments = [{"address": address, "content": base64.b64encode(content).decode()} for address, content in firmware]
-        data["firmware"] = json.dumps(segments).encode()
-    blocks = [
-        f'<script type="text/plain" id="{name}">{base64.b64encode(gzip.compress(content, 9, mtime=0)).decode()}</script>'
-        for name, content in data.items()
-    ]
-    boot = f"<script>\n{(_PAGE / 'boot.js').read_text('utf-8')}</script>"
-    return html.replace("</body>", "\n".join([*blocks, boot, "</body>"]), 1)
+    html = re.sub(r"<(?:link|script)\b[^>]*>(?:</script>)?\n", "", _static(static, "index.html"))
+    panel, boot = _own("lab.html"), f"<script>\n{_own('boot.js')}</script>\n"
+    for mark, added in (
+        ("</head>", head),
+        ('    </div>\n    <div id="fly"', _TAB),
+        ('    <div id="parameters"', panel),
+        ("<main>", _BARS),
+        ("</body>", "".join(packed) + boot),
+    ):
+        before, found, after = html.partition(mark)
+        html = f"{before}{added}{found}{after}"
+    return html
 
 
-def bundle(modules: Any) -> str:
-    """Return ES modules as one script, each in a function of its own; each stands behind those that it imports."""
-    texts = []
-    for text in modules:
-        exported = re.findall(r"^export (?:async )?(?:function\*?|class|const|let|var) (\w+)", text, re.M)
-        exported += [name for names in re.findall(r"^export \{([^}]*)\};", text, re.M) for name in names.replace(" ", "").split(",")]
-        text = re.sub(r"^export \{[^}]*\};", "", text, flags=re.M)
-        text = re.sub(r"^export ", "", text, flags=re.M)
-        text = re.sub(r'^import \{([^}]*)\} from "[^"]*";', r"const {\1} = shared;", text, flags=re.M)
-        texts.append(f"(() => {{\n{text}\nObject.assign(shared, {{ {', '.join(exported)} }});\n}})();")
-    return '"use strict";\nconst shared = {};\n' + "\n".join(texts)
+def _packed(name: str, content: bytes) -> str:
+    """Return an element that holds bytes, for boot.js."""
+    return f'<script type="text/plain" id="{name}">{_base64(gzip.compress(content, 9, mtime=0))}</script>\n'
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
+
+
+def _json(value: Any) -> bytes:
+    return json.dumps(value, separators=(",", ":")).encode()
+
+
+def _own(name: str) -> str:
+    return (_PAGE / name).read_text(encoding="utf-8")
+
+
+def bundle(modules: Iterable[str]) -> str:
+    """Return ES modules as one script, each in a function of its own, behind the modules that it imports."""
+    return '"use strict";\nconst shared = {};\n' + "\n".join(_as_function(text) for text in modules)
+
+
+def _as_function(module: str) -> str:
+    """Return a module as a function call that takes its imports from `shared`, and puts its exports there."""
+    exported = re.findall(r"^export (?:async )?(?:function\*?|class|const|let|var) (\w+)", module, re.M)
+    for names in re.findall(r"^export \{([^}]*)\};", module, re.M):
+        exported += [name.strip() for name in names.split(",")]
+    body = re.sub(r"^export \{[^}]*\};", "", module, flags=re.M)
+    body = re.sub(r"^export ", "", body, flags=re.M)
+    body = re.sub(r'^import \{([^}]*)\} from "[^"]*";', r"const {\1} = shared;", body, flags=re.M)
+    return f"(() => {{\n{body}\nObject.assign(shared, {{ {', '.join(exported)} }});\n}})();"
 
 
 def _static(folder: Traversable, name: str) -> str:
@@ -113,15 +133,17 @@ def write_page(
     progress: Callable[[str], object] = lambda _: None,
 ) -> list[str]:
     """Write a page, and the truth file of a puzzle; return the lines about them for the user."""
+    from heli_host.data.files import write_bytes
     from heli_host.data.log.blind import Truth, truth_path
     from heli_host.errors import HeliError
     from heli_host.fly.plan import load_plan, plan_names
-    from heli_host.data.files import write_bytes
     from heli_sim.due.firmware import find_firmware, read_firmware
     from heli_sim.model.effects.parse import parse_effects
 
     if puzzle and not effect_texts:
-        raise OptionError("a puzzle hides nothing", "name what it hides, such as --effect cable_spring.travel=0.06")
+        raise OptionError(
+            "a puzzle hides nothing", "name what it hides, such as --effect cable_spring.travel=0.06"
+        )
     plans = [load_plan(name) for name in plan_list or plan_names()]
     effects = parse_effects(effect_texts)
     loaded = [load_rig(name) for name in ((rig,) if rig else RIGS)]
@@ -134,8 +156,15 @@ def write_page(
         lines.append(f"without the emulated Due: {error}")
     facts = page_facts(plans, {plan.name: tomllib.loads(plan.text) for plan in plans}, loaded)
     if puzzle:
-        truth = Truth.seal({"rig": loaded[0].name, "effects": list(effect_texts), "plans": [plan.name for plan in plans]})
-        facts = {**facts, "effects": [], "puzzle": hidden_facts(effects, loaded[0], truth), "rigs": facts["rigs"][:1]}
+        truth = Truth.seal(
+            {"rig": loaded[0].name, "effects": list(effect_texts), "plans": [plan.name for plan in plans]}
+        )
+        facts = {
+            **facts,
+            "effects": [],
+            "puzzle": hidden_facts(effects, loaded[0], truth),
+            "rigs": facts["rigs"][:1],
+        }
         place = truth_path(output)
         truth.write(place)
         lines += [f"sealed: {truth.digest}", f"truth (keep it, share only the page): {place}"]

@@ -17,7 +17,12 @@ from typing import Final
 from heli_sim.errors import SimError
 
 _ROOT: Final = Path(__file__).resolve().parents[3]
-_TARGET: Final = ("-target", "wasm32-wasi", "-mcpu=generic+exception_handling+bulk_memory", "-fwasm-exceptions")
+_TARGET: Final = (
+    "-target",
+    "wasm32-wasi",
+    "-mcpu=generic+exception_handling+bulk_memory",
+    "-fwasm-exceptions",
+)
 # No contraction, as in the native build: the numbers must be the same.
 _COMMON: Final = ("-O2", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
 _FLAGS: Final = (*_TARGET, *_COMMON, "-std=c++17", "-fno-access-control", "-w")
@@ -34,7 +39,9 @@ _TAG: Final = ".globl __cpp_exception\n.tagtype __cpp_exception i32\n__cpp_excep
 def sources(root: Path = _ROOT) -> list[Path]:
     """Return all C++ files of the module."""
     folders = [*(root / "firmware/core").rglob("*.cpp"), *(root / "sim/native").glob("*.cpp")]
-    folders += [path for part in ("board", "bus", "chip", "cpu") for path in (root / "sim/due" / part).glob("*.cpp")]
+    folders += [
+        path for part in ("board", "bus", "chip", "cpu") for path in (root / "sim/due" / part).glob("*.cpp")
+    ]
     folders += [*(root / "sim/due_board").glob("*.cpp"), *(root / "sim/web/board").glob("*.cpp")]
     return sorted(
         path for path in folders if path.name not in _LEFT_OUT and not path.name.startswith("bind_")

@@ -1,4 +1,4 @@
-"""Everything that the page knows of rigs, effects, plans and the link, as one JSON value written at build time."""
+"""What the page knows of rigs, effects, plans and the link, as one JSON value written at build time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RIGS = ("makki2024", "makki2024-identified", "quanser-course")
 
 
 def plant_facts(model: Model) -> dict[str, Any]:
-    """Return a model's plant: its module, the names of its parameters, and its states beyond those of the model."""
+    """Return a plant: its module, the names of its parameters, and its states beyond those of the model."""
     added = extras(model)
     return {
         "module": base64.b64encode(plant_module(step_function(model))).decode(),
@@ -99,7 +99,9 @@ def _parameter_facts(kind: EffectSpec, parameter: Any) -> dict[str, Any]:
 def log_facts() -> dict[str, Any]:
     """Return the layout of a log: schemas, channels, and the fields of a tick."""
     columns = {spec.field: (index, None) for index, spec in enumerate(CHANNELS)}
-    columns |= {spec.column: (index, int(spec.axis)) for index, spec in enumerate(CHANNELS) if spec.axis is not None}
+    columns |= {
+        spec.column: (index, int(spec.axis)) for index, spec in enumerate(CHANNELS) if spec.axis is not None
+    }
     fields = schema.TICK_LAYOUT.dtype.fields or {}
     return {
         "library": f"{LOG_WRITER} {LINK_VERSION})",
@@ -139,10 +141,20 @@ def combined_facts(effects: tuple[Effect, ...], rig: Rig) -> dict[str, Any]:
             low, high = min(facts["low"], value), max(facts["high"], value)
             parameters.append(
                 facts
-                | {"name": f"{name}.{parameter.name if len(effects) == 1 else facts['name']}", "low": low, "high": high}
+                | {
+                    "name": f"{name}.{parameter.name if len(effects) == 1 else facts['name']}",
+                    "low": low,
+                    "high": high,
+                }
                 | {"symbol": quantity.name, "typical": value}
             )
-    return {"id": name, "sentence": "as the page was made", "parameters": parameters, "override": {}, "plant": plant_facts(model)}
+    return {
+        "id": name,
+        "sentence": "as the page was made",
+        "parameters": parameters,
+        "override": {},
+        "plant": plant_facts(model),
+    }
 
 
 def page_facts(
@@ -164,12 +176,18 @@ def page_facts(
             "laws": [],
         },
         "faults": {
-            spec.code: {"name": spec.name, "meaning": spec.meaning, "remedy": spec.remedy, "parameter": spec.parameter}
+            spec.code: {
+                "name": spec.name,
+                "meaning": spec.meaning,
+                "remedy": spec.remedy,
+                "parameter": spec.parameter,
+            }
             for spec in FAULTS
         },
         "log": log_facts(),
         "plans": [
-            {"name": plan.name, "title": plan.title, "text": plan.text, "table": tables[plan.name]} for plan in plans
+            {"name": plan.name, "title": plan.title, "text": plan.text, "table": tables[plan.name]}
+            for plan in plans
         ],
         "rigs": [rig_facts(rig) for rig in rigs],
         "plants": {"": plant_facts(MultibodyModel())},

@@ -14,7 +14,7 @@ from heli_web.facts import plant_facts
 
 
 def hidden_facts(effects: tuple[Effect, ...], rig: Rig, truth: Truth) -> dict[str, Any]:
-    """Return the plant of a puzzle. Names of the hidden parameters are numbers, and their values are fixed."""
+    """Return the plant of a puzzle. Its hidden parameters have numbers as names, and fixed values."""
     model: Model = model_named(rig.model or "multibody", effects)
     plant = plant_facts(model)
     values = dict(zip(model.parameter_names, model.parameter_values(rig), strict=True))

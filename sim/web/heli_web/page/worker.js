@@ -9,7 +9,7 @@ import { WorldFactory } from "./world.js";
 const LOOP_MS = 6, BUDGET_MS = 14; // a stop waits for one budget at most
 const FRAME_MS = 30, STATUS_MS = 100, PRESENCE_MS = 200;
 const MAX_BEHIND_MS = 100; // more is not caught up: the page was suspended, or the computer is too slow
-const MAX_ROWS = 6000, MAX_UNSHOWN = 8, HUNG_MS = 3000;
+const MAX_ROWS = 1 << 16, MAX_UNSHOWN = 8, HUNG_MS = 3000;
 const HEADER = 24, THINNED = 1, RESET = 2;
 const YOU = "page";
 
@@ -165,13 +165,16 @@ function pass(nowMs) {
   if (!host || pausedBy.size) return;
   owed = Math.min(owed + passedMs * speed, MAX_BEHIND_MS * speed);
   try {
-    for (; owed >= 1 && performance.now() - nowMs < BUDGET_MS; owed -= 20) host.step(Math.min(20, Math.floor(owed)));
+    while (owed >= 1 && performance.now() - nowMs < BUDGET_MS) {
+      const ticks = Math.min(20, Math.floor(owed));
+      host.step(ticks);
+      owed -= ticks;
+    }
   } catch (error) {
     const words = error instanceof HeliError ? error.message : `the simulation ended: ${error.message}`;
     [host, ready] = [null, false];
     say({ lab: { error: `${words}; choose a rig or a board to begin again` } });
   }
-  owed = Math.max(owed, 0);
 }
 
 // The rows since the last frame; where the page is too slow for all of them, every n-th.

@@ -14,7 +14,9 @@ from heli_host.ui.cli.verb import Verb
 def web(
     plans: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[PLAN]...", help="Names or files of the plans that the page offers.  [default: all]"),
+        typer.Argument(
+            metavar="[PLAN]...", help="Plans that the page offers.  [default: all built-in plans]"
+        ),
     ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="FILE.html", help="Write the page to FILE.html.")
@@ -26,12 +28,13 @@ def web(
         typer.Option("--puzzle", help="Hide the effects, and write them with a seal to FILE.truth.json."),
     ] = False,
 ) -> None:
-    """Write a page that flies the simulated rig in a browser, without an installation.
+    """Write a page that flies the simulated rig in a browser.
 
-    The page is one file. It loads nothing from the internet and works offline: send it to students. It contains
-    the flight code, the emulated Due if its firmware is built, and all effects of the catalogue. With --effect,
-    the page begins with these effects. With --puzzle, it hides them: the logs that students save contain the
-    digest of FILE.truth.json, and `heli-host info LOG --truth FILE.truth.json` checks it.
+    The page is one file that works offline, without an installation. It contains the flight code, the emulated
+    Due if its firmware is built, and all effects of the catalogue. With --effect, the page begins with these
+    effects. With --puzzle, it hides them, and the logs that it saves contain the digest of FILE.truth.json.
+
+    Example: `heli-host web --puzzle --effect cable_spring.travel=0.06 --output puzzle.html`
     """
     from heli_web.build import write_page
 
