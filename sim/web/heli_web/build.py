@@ -82,8 +82,9 @@ def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[i
 
 
 def _packed(name: str, content: bytes) -> str:
-    """Return an element that holds bytes, for boot.js."""
-    return f'<script type="text/plain" id="{name}">{_base64(gzip.compress(content, 9, mtime=0))}</script>\n'
+    """Return an element that holds bytes, for boot.js, in short lines."""
+    text = base64.encodebytes(gzip.compress(content, 9, mtime=0)).decode()
+    return f'<script type="text/plain" id="{name}">\n{text}</script>\n'
 
 
 def _base64(content: bytes) -> str:
@@ -133,7 +134,7 @@ def write_page(
     progress: Callable[[str], object] = lambda _: None,
 ) -> list[str]:
     """Write a page, and the truth file of a puzzle; return the lines about them for the user."""
-    from heli_host.data.files import write_bytes
+    from heli_host.data.files import write_signed
     from heli_host.data.log.blind import Truth, truth_path
     from heli_host.errors import HeliError
     from heli_host.fly.plan import load_plan, plan_names
@@ -171,7 +172,7 @@ def write_page(
     elif effects:
         combined = combined_facts(effects, loaded[0])
         facts = {**facts, "effects": [combined, *facts["effects"]], "start": combined["id"]}
-    write_bytes(output, page_text(board, facts, segments).encode())
+    write_signed(output, page_text(board, facts, segments))
     return lines
 
 
