@@ -104,7 +104,8 @@ def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(
         heli.fly("step", log=tmp_path / "host.mcap")
     page, host = read_log(tmp_path / "page.mcap"), read_log(tmp_path / "host.mcap")
     rows = min(len(page.ticks), len(host.ticks))
-    assert abs(len(page.ticks) - len(host.ticks)) < 100
+    # heli_host records longer, because it compares the angles at rest.
+    assert abs(len(page.ticks) - len(host.ticks)) < 1000
     for axis in ("elevation", "travel"):
         difference = page.ticks[f"{axis}_rad"][:rows] - host.ticks[f"{axis}_rad"][:rows]
         assert np.degrees(np.sqrt(np.mean(difference**2))) < 0.5

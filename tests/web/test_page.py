@@ -139,7 +139,7 @@ def test_faults_of_the_rig_reach_the_board(chromium: Browser, page: Path) -> Non
         click(tab, "#take-off")
         until(tab, "heliPage.status.state === 2 && heliPage.history.latest(0) > -0.1")
         click(tab, "#tab-lab")
-        click(tab, "[data-fault='pitch plug off']")
+        click(tab, "[data-fault='motor supply off']")
         until(tab, "['fault', 'emergency landing'].includes(document.querySelector('#state').textContent)")
 
 

@@ -93,7 +93,7 @@ export class Controls {
   get state() { return this.hello?.states[this.status?.state]?.name ?? ""; }
 
   greet(hello) {
-    this.hello = hello;
+    [this.hello, this.status] = [hello, null]; // the status of another source has other fields
     const live = hello.mode === "live";
     for (const part of document.querySelectorAll(".live-only")) part.hidden = !live;
     for (const part of document.querySelectorAll(".replay-only")) part.hidden = live;
