@@ -11,11 +11,10 @@ from typing import Any
 
 import numpy as np
 from heli_host.declaration import StopMessage
-from heli_sim.plant import step_function
-from heli_sim.rig.encoders import count_rad, directions
-from heli_sim.sil.flash_pages import saved
+from heli_sim.model.plant import step_function
+from heli_sim.rig.rig import count_rad, directions
 from heli_sim.sil.options import DUE
-from heli_sim.sil.world import SilWorld
+from heli_sim.sil.world import SilWorld, saved
 from heli_web.plant import plant_module
 
 Calls = list[list[Any]]

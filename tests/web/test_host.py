@@ -6,11 +6,12 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import heli_host
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.data.log.reader import read_log
 from heli_host.errors import HeliError
-from heli_host.fly.heli import Heli
 from heli_host.fly.plan import load_plan
 from heli_host.link.session import Session
 from heli_sim.rig import load_rig
@@ -100,7 +101,7 @@ def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(
 ) -> None:
     # Commands leave some milliseconds apart, so the flights agree within the tracking error, not bit by bit.
     flown(node, board, facts, tmp_path / "page.mcap")
-    with Heli(_connected("sil://?board=native")) as heli:
+    with heli_host.connect("sil://?board=native") as heli:
         heli.fly("step", log=tmp_path / "host.mcap")
     page, host = read_log(tmp_path / "page.mcap"), read_log(tmp_path / "host.mcap")
     rows = min(len(page.ticks), len(host.ticks))
@@ -109,9 +110,3 @@ def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(
     for axis in ("elevation", "travel"):
         difference = page.ticks[f"{axis}_rad"][:rows] - host.ticks[f"{axis}_rad"][:rows]
         assert np.degrees(np.sqrt(np.mean(difference**2))) < 0.5
-
-
-def _connected(url: str) -> Session:
-    session = Session(InProcessTransport(SilWorld(parse_url(url))), session_number=1)
-    session.connect()
-    return session

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.board.heli import Heli
 from heli_host.errors import HeliError
-from heli_host.fly.heli import Heli
 from heli_host.link.session import Session
 from heli_sim.model.effects.catalogue import catalogue
 from heli_sim.model.multibody import MultibodyModel
-from heli_sim.plant import Plant
+from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import parse_url

@@ -139,7 +139,7 @@ def write_page(
     from heli_host.errors import HeliError
     from heli_host.fly.plan import load_plan, plan_names
     from heli_sim.due.firmware import find_firmware, read_firmware
-    from heli_sim.model.effects.parse import parse_effects
+    from heli_sim.model.effects.catalogue import parse_effects
 
     if puzzle and not effect_texts:
         raise OptionError(

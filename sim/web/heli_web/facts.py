@@ -13,17 +13,17 @@ from heli_host.fly.plan import Plan
 from heli_host.link.installation import installed_version
 from heli_host.ui.page.source import channel_rows, parameter_rows, state_rows
 from heli_sim.errors import SimError
+from heli_sim.model import model_named
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect
 from heli_sim.model.effects.catalogue import catalogue
 from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.model.multibody import MultibodyModel
-from heli_sim.model.named import model_named
-from heli_sim.plant import LIMITS, extras, step_function
+from heli_sim.model.plant import LIMITS, extras, step_function
 from heli_sim.rig import Rig
 from heli_sim.rig.board import in_simulation
-from heli_sim.rig.encoders import count_rad, directions
-from heli_sim.sil.flash_pages import saved
+from heli_sim.rig.rig import count_rad, directions
+from heli_sim.sil.world import saved
 
 from heli_web.plant import plant_module
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from heli_host.data.log.blind import Truth
+from heli_sim.model import model_named
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Effect
-from heli_sim.model.named import model_named
 from heli_sim.rig import Rig
 
 from heli_web.facts import plant_facts

@@ -30,9 +30,9 @@ def web(
 ) -> None:
     """Write a page that flies the simulated rig in a browser.
 
-    The page is one file that works offline, without an installation. It contains the flight code, the emulated
-    Due if its firmware is built, and all effects of the catalogue. With --effect, the page begins with these
-    effects. With --puzzle, it hides them, and the logs that it saves contain the digest of FILE.truth.json.
+    The page is one file that works offline, without an installation. It contains the flight code, the
+    emulated Due if its firmware is built, and all effects of the catalogue. With --effect, the page begins
+    with these effects. With --puzzle, it hides them, and its logs contain the digest of FILE.truth.json.
 
     Example: `heli-host web --puzzle --effect cable_spring.travel=0.06 --output puzzle.html`
     """
