@@ -99,7 +99,8 @@ def test_heli_host_reads_a_log_of_the_small_host(
 def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(
     board: Path, node: str, facts: dict[str, Any], tmp_path: Path
 ) -> None:
-    # Commands leave some milliseconds apart, so the flights agree within the tracking error, not bit by bit.
+    # Commands leave some milliseconds apart. So the board looks at other moments whether a silent travel encoder
+    # still counts, which turns the arm a little.
     flown(node, board, facts, tmp_path / "page.mcap")
     with heli_host.connect("sil://?board=native") as heli:
         heli.fly("step", log=tmp_path / "host.mcap")
@@ -107,6 +108,6 @@ def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(
     rows = min(len(page.ticks), len(host.ticks))
     # heli_host records longer, because it compares the angles at rest.
     assert abs(len(page.ticks) - len(host.ticks)) < 1000
-    for axis in ("elevation", "travel"):
+    for axis, bound_deg in (("elevation", 0.3), ("travel", 2.0)):
         difference = page.ticks[f"{axis}_rad"][:rows] - host.ticks[f"{axis}_rad"][:rows]
-        assert np.degrees(np.sqrt(np.mean(difference**2))) < 0.5
+        assert np.degrees(np.sqrt(np.mean(difference**2))) < bound_deg

@@ -47,7 +47,7 @@ def chromium() -> Iterator[Browser]:
 
 @contextmanager
 def opened(browser: Browser, page: Path, address: str = "", size: tuple[int, int] = WIDE) -> Iterator[Page]:
-    """The page in a window without a network. What goes wrong in it, or leaves it, fails the test."""
+    """Open the page in a window without a network. An error in it, or a request, fails the test."""
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, offline=True)
     context.add_init_script(SELDOM_DRAWN)
     tab, wrong = context.new_page(), []

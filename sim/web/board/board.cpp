@@ -183,7 +183,22 @@ EXPORT(power_cycle) void power_cycle() {
   EXPORT(math_##name) double math_##name(double x) { return std::name(x); }
 #define MATH2(name) \
   EXPORT(math_##name) double math_##name(double x, double y) { return std::name(x, y); }
-MATH1(sin)
-MATH1(cos) MATH1(tan) MATH1(asin) MATH1(acos) MATH1(atan) MATH1(sinh) MATH1(cosh) MATH1(tanh)
-    MATH1(exp) MATH1(log) MATH1(expm1) MATH1(log1p) MATH2(pow) MATH2(fmod) MATH2(fmin) MATH2(fmax)
-        MATH2(atan2) MATH2(hypot)
+MATH1(sin);
+MATH1(cos);
+MATH1(tan);
+MATH1(asin);
+MATH1(acos);
+MATH1(atan);
+MATH1(sinh);
+MATH1(cosh);
+MATH1(tanh);
+MATH1(exp);
+MATH1(log);
+MATH1(expm1);
+MATH1(log1p);
+MATH2(pow);
+MATH2(fmod);
+MATH2(fmin);
+MATH2(fmax);
+MATH2(atan2);
+MATH2(hypot);
