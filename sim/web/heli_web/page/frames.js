@@ -4,14 +4,24 @@ import { CHANNELS, LINK, MESSAGES } from "./declaration.js";
 const OVERHEAD = 7;
 const MAX_PLAIN = LINK.max_telemetry_payload + OVERHEAD;
 const MAX_ENCODED = MAX_PLAIN + 1 + Math.floor(MAX_PLAIN / 254);
-const TABLE = new Uint32Array(256).map((_, byte) => {
-  for (let bit = 0; bit < 8; bit++) byte = byte & 1 ? (byte >>> 1) ^ 0xedb88320 : byte >>> 1;
-  return byte;
-});
+// The CRC of a byte, and of a byte with one to three zero bytes behind it.
+const TABLES = [new Uint32Array(256), new Uint32Array(256), new Uint32Array(256), new Uint32Array(256)];
+for (let byte = 0; byte < 256; byte++) {
+  let crc = byte;
+  for (let bit = 0; bit < 8; bit++) crc = crc & 1 ? (crc >>> 1) ^ 0xedb88320 : crc >>> 1;
+  TABLES[0][byte] = crc;
+}
+for (let k = 1; k < 4; k++) for (let byte = 0; byte < 256; byte++) TABLES[k][byte] = TABLES[0][TABLES[k - 1][byte] & 255] ^ (TABLES[k - 1][byte] >>> 8);
 
 export function crc32(bytes, crc = 0) {
+  const [t0, t1, t2, t3] = TABLES, end = bytes.length, fours = end - (end % 4);
+  let at = 0;
   crc = ~crc;
-  for (const byte of bytes) crc = TABLE[(crc ^ byte) & 255] ^ (crc >>> 8);
+  for (; at < fours; at += 4) {
+    crc ^= bytes[at] | (bytes[at + 1] << 8) | (bytes[at + 2] << 16) | (bytes[at + 3] << 24);
+    crc = t3[crc & 255] ^ t2[(crc >>> 8) & 255] ^ t1[(crc >>> 16) & 255] ^ t0[crc >>> 24];
+  }
+  for (; at < end; at++) crc = t0[(crc ^ bytes[at]) & 255] ^ (crc >>> 8);
   return ~crc >>> 0;
 }
 

@@ -123,16 +123,14 @@ export class LogWriter {
     if (!this.pending.length) return;
     const body = new Bytes(1 << 17), index = {};
     let [firstNs, lastNs] = [null, 0n];
-    const note = (channel, ns, offset) => {
-      (index[channel] ??= []).push([ns, offset]);
-      firstNs = firstNs === null || ns < firstNs ? ns : firstNs;
-      lastNs = ns > lastNs ? ns : lastNs;
-    };
     for (const part of this.pending) {
-      const ns = this.startNs + BigInt(part.timeMs) * 1000000n;
-      if (part.raw) this.tickMessages(body, part, ns, note);
+      const ns = this.startNs + BigInt(part.timeMs) * 1000000n, count = part.raw ? part.raw[0].length : 1, endNs = ns + BigInt(count - 1) * 1000000n;
+      firstNs = firstNs === null || ns < firstNs ? ns : firstNs;
+      lastNs = endNs > lastNs ? endNs : lastNs;
+      const entries = (index[part.channel ?? TICK] ??= new Bytes());
+      if (part.raw) this.tickMessages(body, part, ns, entries);
       else {
-        note(part.channel, ns, body.size);
+        entries.u64(ns).u64(body.size);
         body.u8(OP.message).u64(22 + part.body.length).u16(part.channel).u32(0).u64(ns).u64(ns).bytes(part.body);
       }
     }
@@ -143,29 +141,42 @@ export class LogWriter {
     const offsets = [];
     for (const [channel, entries] of Object.entries(index)) {
       offsets.push([Number(channel), this.size]);
-      this.append(record(OP.messageIndex, (out) => {
-        out.u16(channel).u32(16 * entries.length);
-        for (const [ns, at] of entries) out.u64(ns).u64(at);
-      }));
-      this.counts[channel] = (this.counts[channel] ?? 0) + entries.length;
+      this.append(record(OP.messageIndex, (out) => out.u16(channel).u32(entries.size).bytes(entries.data)));
+      this.counts[channel] = (this.counts[channel] ?? 0) + entries.size / 16;
     }
     this.chunks.push({ offset, length: chunk.length, bytes: body.size, firstNs, lastNs, offsets, indexLength: this.size - offset - chunk.length });
     if (this.firstNs === null || firstNs < this.firstNs) this.firstNs = firstNs;
     if (lastNs > this.lastNs) this.lastNs = lastNs;
   }
 
-  tickMessages(body, { tick, raw, timeMs }, startNs, note) {
-    const { fields } = this.schema, size = fields.reduce((sum, { code }) => sum + Number(code[1]), 4);
-    for (let i = 0; i < raw[0].length; i++) {
-      const ns = startNs + BigInt(i) * 1000000n;
-      note(TICK, ns, body.size);
-      body.u8(OP.message).u64(22 + size).u16(TICK).u32((tick + i) >>> 0).u64(ns).u64(ns).u32(0x100);
-      for (const { name, code, channel, axis } of fields) {
-        let value = name === "t_s" ? (timeMs + i) / 1000 : name === "tick" ? (tick + i) >>> 0 : raw[channel][i];
-        if (axis !== null) value *= this.radPerCount[axis];
-        else if (code[0] === "f" && channel !== null) value *= CHANNELS[channel][3];
-        body.put(`${{ f: "Float", u: "Uint", i: "Int" }[code[0]]}${8 * Number(code[1])}`, Number(code[1]), value);
+  // Writes a batch of ticks, and their entries in the index. Times are halves of 32 bits: a BigInt for each tick took
+  // most of the time.
+  tickMessages(body, { tick, raw, timeMs }, startNs, entries) {
+    const { fields } = this.schema, count = raw[0].length, size = fields.reduce((sum, { code }) => sum + Number(code[1]), 35);
+    const start = body.room(size * count), index = entries.room(16 * count), { view } = body;
+    let [low, high] = [Number(startNs & 0xffffffffn), Number(startNs >> 32n)];
+    for (let i = 0, at = start; i < count; i++, at += size) {
+      view.setUint8(at, OP.message);
+      view.setUint32(at + 1, size - 9, true);
+      view.setUint32(at + 5, 0, true);
+      view.setUint16(at + 9, TICK, true);
+      view.setUint32(at + 11, (tick + i) >>> 0, true);
+      for (const [target, place] of [[view, at + 15], [view, at + 23], [entries.view, index + 16 * i]]) {
+        target.setUint32(place, low, true);
+        target.setUint32(place + 4, high, true);
       }
+      view.setUint32(at + 31, 0x100, true);
+      entries.view.setUint32(index + 16 * i + 8, at, true);
+      entries.view.setUint32(index + 16 * i + 12, 0, true);
+      low += 1000000;
+      if (low >= 4294967296) [low, high] = [low - 4294967296, high + 1];
+    }
+    let offset = start + 35;
+    for (const { name, code, channel, axis } of fields) {
+      const set = { f4: view.setFloat32, f8: view.setFloat64, u1: view.setUint8, u2: view.setUint16, u4: view.setUint32, i2: view.setInt16, i4: view.setInt32 }[code];
+      const values = channel === null ? null : raw[channel], factor = axis !== null ? this.radPerCount[axis] : code[0] === "f" && values ? CHANNELS[channel][3] : 1;
+      for (let i = 0, at = offset; i < count; i++, at += size) set.call(view, at, values ? values[i] * factor : name === "t_s" ? (timeMs + i) / 1000 : (tick + i) >>> 0, true);
+      offset += Number(code[1]);
     }
   }
 
