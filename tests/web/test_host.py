@@ -99,8 +99,8 @@ def test_heli_host_reads_a_log_of_the_small_host(
 def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(
     board: Path, node: str, facts: dict[str, Any], tmp_path: Path
 ) -> None:
-    # Commands leave some milliseconds apart. So the board looks at other moments whether a silent travel encoder
-    # still counts, which turns the arm a little.
+    # Commands leave some milliseconds apart. So the board looks at other moments whether a silent travel
+    # encoder still counts, which turns the arm a little.
     flown(node, board, facts, tmp_path / "page.mcap")
     with heli_host.connect("sil://?board=native") as heli:
         heli.fly("step", log=tmp_path / "host.mcap")

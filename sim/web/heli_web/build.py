@@ -149,7 +149,8 @@ def write_page(
     effects = parse_effects(effect_texts)
     loaded = [load_rig(name) for name in ((rig,) if rig else RIGS)]
     board = board_module(progress)
-    lines, segments = [f"page: {output}"], ()
+    lines = [f"page: {output}"]
+    segments: Sequence[tuple[int, bytes]] = ()
     try:
         firmware = find_firmware()
         segments = read_firmware(firmware).segments

@@ -98,11 +98,13 @@ def _parameter_facts(kind: EffectSpec, parameter: Any) -> dict[str, Any]:
 
 def log_facts() -> dict[str, Any]:
     """Return the layout of a log: schemas, channels, and the fields of a tick."""
-    columns = {spec.field: (index, None) for index, spec in enumerate(CHANNELS)}
+    columns: dict[str, tuple[int | None, int | None]] = {
+        spec.field: (index, None) for index, spec in enumerate(CHANNELS)
+    }
     columns |= {
         spec.column: (index, int(spec.axis)) for index, spec in enumerate(CHANNELS) if spec.axis is not None
     }
-    fields = schema.TICK_LAYOUT.dtype.fields or {}
+    fields: Mapping[str, Any] = schema.TICK_LAYOUT.dtype.fields or {}
     return {
         "library": f"{LOG_WRITER} {LINK_VERSION})",
         "schemas": [

@@ -238,6 +238,8 @@ onmessage = ({ data }) => {
   else if (data.stop) {
     stop();
     say({}, { stopped: true });
+    frameMs = -Infinity; // what the stop does is shown at the first chance
+    loop();
   } else if (data.lab) {
     try {
       for (const [name, value] of Object.entries(data.lab)) if (host || replay || name === "settings" || name === "log") LAB[name](value);
