@@ -67,7 +67,7 @@ ARGUMENTS = {
 }
 """Verbs that open a board, and what else each needs."""
 SIL = ("--sil", "--speed", "max")
-WITHOUT = {"course", "export", "flash", "motors", "watch", "sil", "dashboard"}
+WITHOUT = {"course", "export", "flash", "motors", "watch", "sil", "dashboard", "web"}
 """Verbs whose result is a file, a served board, or only what is shown live."""
 WITHOUT_PARTS = {
     *(
