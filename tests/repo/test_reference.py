@@ -250,6 +250,7 @@ GENERATED = (
     "docs/reference/faults.md",
     "docs/reference/parameters.md",
     "docs/matlab/heli_declaration.m",
+    "sim/web/heli_web/page/declaration.js",
 )
 
 
