@@ -43,6 +43,7 @@ OUTPUTS = {
     "identify": "identify {log} {option}",
     "pool": "pool {table} {option}",
     "tune": "tune makki2024 {option}",
+    "web": "web {option}",
     "twin": "twin {log} {option}",
     "params list": "params list --sil {option}",
     "params get": "params get hover_V --sil {option}",

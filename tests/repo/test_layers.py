@@ -52,7 +52,7 @@ def copy_to(folder: Path) -> None:
     ignore = shutil.ignore_patterns("__pycache__", "*.so", "*.elf", "firmware")
     for package in (
         *(HOST, SIM, ROOT / "sim" / "heli_lab", ROOT / "sim" / "heli_benchmark"),
-        ROOT / "sim" / "due" / "due_emulator",
+        *(ROOT / "sim" / "due" / "due_emulator", ROOT / "sim" / "web" / "heli_web"),
     ):
         shutil.copytree(package, folder / package.relative_to(ROOT), ignore=ignore)
     shutil.copy(ROOT / "pyproject.toml", folder)
@@ -65,7 +65,7 @@ def lint(folder: Path) -> dict[str, str]:
     is found.
     """
     packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
-    path = [folder / "host", folder / "sim", folder / "sim" / "due", *packages]
+    path = [folder / "host", folder / "sim", folder / "sim" / "due", folder / "sim" / "web", *packages]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), "COLUMNS": "200"}
     process = subprocess.run(
         [sys.executable, "-S", "-c", LINT],

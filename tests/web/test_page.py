@@ -172,8 +172,8 @@ def test_axe_finds_nothing_wrong(chromium: Browser, page: Path) -> None:
         with opened(chromium, page, "effect=ground_effect", size) as tab:
             for name in TABS:
                 click(tab, f"#tab-{name}")
-                found = Axe().run(tab)
-                assert not found.response["violations"], found.generate_report()
+                audit = Axe().run(tab)
+                assert not audit.response["violations"], audit.generate_report()
 
 
 def test_a_hostile_address_gives_one_sentence_and_the_usual_rig(chromium: Browser, page: Path) -> None:

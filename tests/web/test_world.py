@@ -87,7 +87,7 @@ def test_each_effect_of_the_catalogue_steps_as_in_casadi(board: Path, node: str)
             }
         )
         expected.append(np.array(steps))
-    found = run_script(node, "plants.mjs", {"board": str(board), "cases": cases})
-    assert len(found) == len(expected) > 40
-    for answer, wanted in zip(found, expected, strict=True):
+    answers = run_script(node, "plants.mjs", {"board": str(board), "cases": cases})
+    assert len(answers) == len(expected) > 40
+    for answer, wanted in zip(answers, expected, strict=True):
         np.testing.assert_allclose(np.array(answer), wanted, rtol=1e-9, atol=1e-12)

@@ -52,15 +52,15 @@ def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[i
     modules = [[f"{name}.js", _static(static, f"{name}.js")] for name in _DASHBOARD_MODULES]
     parts = {
         "facts": facts,
-        "modules": [*modules, *([name, _own(name)] for name in ("settings.js", "lab.js"))],
-        "worker": bundle(_own(f"{name}.js") for name in _WORKER),
+        "modules": [*modules, *([name, _page_file(name)] for name in ("settings.js", "lab.js"))],
+        "worker": bundle(_page_file(f"{name}.js") for name in _WORKER),
         "uplot": _static(static, "vendor/uplot.js"),
     }
     packed = [_packed("parts", _json(parts)), _packed("board-module", board)]
     if firmware:
         segments = [{"address": address, "content": _base64(content)} for address, content in firmware]
         packed.append(_packed("firmware", _json(segments)))
-    styles = (_static(static, "vendor/uplot.css"), _static(static, "page.css"), _own("lab.css"))
+    styles = (_static(static, "vendor/uplot.css"), _static(static, "page.css"), _page_file("lab.css"))
     icon = _base64(_static(static, "icon.svg").encode())
     head = (
         f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
@@ -68,7 +68,7 @@ def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[i
         f"<style>\n{''.join(styles)}\n</style>\n"
     )
     html = re.sub(r"<(?:link|script)\b[^>]*>(?:</script>)?\n", "", _static(static, "index.html"))
-    panel, boot = _own("lab.html"), f"<script>\n{_own('boot.js')}</script>\n"
+    panel, boot = _page_file("lab.html"), f"<script>\n{_page_file('boot.js')}</script>\n"
     for mark, added in (
         ("</head>", head),
         ('    </div>\n    <div id="fly"', _TAB),
@@ -76,8 +76,8 @@ def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[i
         ("<main>", _BARS),
         ("</body>", "".join(packed) + boot),
     ):
-        before, found, after = html.partition(mark)
-        html = f"{before}{added}{found}{after}"
+        before, matched, after = html.partition(mark)
+        html = f"{before}{added}{matched}{after}"
     return html
 
 
@@ -95,7 +95,7 @@ def _json(value: Any) -> bytes:
     return json.dumps(value, separators=(",", ":")).encode()
 
 
-def _own(name: str) -> str:
+def _page_file(name: str) -> str:
     return (_PAGE / name).read_text(encoding="utf-8")
 
 
@@ -134,7 +134,7 @@ def write_page(
     progress: Callable[[str], object] = lambda _: None,
 ) -> list[str]:
     """Write a page, and the truth file of a puzzle; return the lines about them for the user."""
-    from heli_host.data.files import write_signed
+    from heli_host.data.files import check_replaceable, write_signed
     from heli_host.data.log.blind import Truth, truth_path
     from heli_host.errors import HeliError
     from heli_host.fly.plan import load_plan, plan_names
@@ -145,6 +145,7 @@ def write_page(
         raise OptionError(
             "a puzzle hides nothing", "name what it hides, such as --effect cable_spring.travel=0.06"
         )
+    check_replaceable(output)
     plans = [load_plan(name) for name in plan_list or plan_names()]
     effects = parse_effects(effect_texts)
     loaded = [load_rig(name) for name in ((rig,) if rig else RIGS)]

@@ -48,7 +48,7 @@ def plant_module(function: ca.Function) -> bytes:
     angles, for a function of these four inputs and two outputs.
     """
     inputs, outputs = function.n_in(), function.n_out()
-    one, two, step = range(3)
+    unary, binary, step = range(3)
     types = [
         b"\x60\x01\x7c\x01\x7c",
         b"\x60\x02\x7c\x7c\x01\x7c",
@@ -56,7 +56,7 @@ def plant_module(function: ca.Function) -> bytes:
     ]
     imports = [_name("env") + _name("memory") + b"\x02\x00\x01"]
     for name in _FUNCTIONS:
-        kind = one if name in _CALL_1.values() else two
+        kind = unary if name in _CALL_1.values() else binary
         imports.append(_name("env") + _name(f"math_{name}") + b"\x00" + _number(kind))
     body = _vector([_number(function.sz_w()) + bytes([_F64])]) + _code(function, inputs, outputs) + b"\x0b"
     exported = _name("step") + b"\x00" + _number(len(_FUNCTIONS))
