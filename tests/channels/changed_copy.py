@@ -75,11 +75,8 @@ class ChangedCopy:
         # The extensions of the laboratory do not depend on the declaration.
         suffix = sysconfig.get_config_var("EXT_SUFFIX")
         for module in (_kalman, _expression_vm):
-            name = module.__name__.rpartition(".")[2]
-            shutil.copy(
-                str(module.__file__),
-                self.root / "sim" / "heli_lab" / "fit" / "estimation" / f"{name}{suffix}",
-            )
+            package, name = module.__name__.rsplit(".", 1)
+            shutil.copy(str(module.__file__), self.root / "sim" / Path(*package.split(".")) / f"{name}{suffix}")
 
     @property
     def extension(self) -> Path:

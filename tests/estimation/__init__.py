@@ -1,6 +1,6 @@
 """Claims about the prediction error method.
 
-`made.py`: the flight, made once. `density.py`: the normal density written out.
+`pendulum.py`: the normal density written out, flights, and a machine that is no helicopter.
 
 Does not belong here: what is concluded from an estimate (`../diagnose`).
 """

@@ -1,4 +1,4 @@
-"""The normal density written out: an oracle, without the second of CPU that scipy.stats takes to import."""
+"""Oracles and machines for the estimation core: the normal density written out, flights, and a pendulum."""
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ from tests.running.kept import FLOWN, KEPT
 
 
 def log_density(values: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
-    """Logarithm of the density of N(0, covariance) at values, shape (n,)."""
+    """Logarithm of the density of N(0, covariance) at values, shape (n,).
+
+    scipy.stats has it, and takes a second of CPU to import.
+    """
     log_determinant = np.linalg.slogdet(covariance)[1]
     squares = values @ np.linalg.solve(covariance, values)
     return float(-0.5 * (squares + log_determinant + len(values) * np.log(2.0 * np.pi)))

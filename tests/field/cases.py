@@ -204,7 +204,7 @@ def judged(case: Case, answer: Mapping[str, Any]) -> Judged:
     case : Case
         The case.
     answer : Mapping[str, Any]
-        As `heli_benchmark.runs.case.asked` gives it.
+        As `heli_benchmark.runs.case.timed_diagnosis` gives it.
     """
     result = answer["result"] or {"verdict": "died", "causes": []}
     estimates: dict[str, Any] = {}

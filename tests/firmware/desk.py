@@ -239,7 +239,7 @@ def flying_board_and_host(elf: Path, image: Image) -> tuple[Board, Heli]:
 SCRATCH: Final = 0x2007_F000
 """Memory that no variable and no stack of the firmware uses; the linker fills SRAM0 from below."""
 _STACK_POINTER, _LINK, _PC = 13, 14, 15
-_MAX_MS: Final = 100
+_MAX_STEPS_MS: Final = 100
 
 
 def halt_at(board: Board, symbol: str, max_us: float = 2500.0) -> None:
@@ -270,7 +270,7 @@ def call(board: Board, symbol: str, *arguments: int) -> int:
     back = enter(board, symbol, *arguments)
     due.add_breakpoint(back)
     # Interrupts go on meanwhile, and come back to where they were.
-    for _ in range(_MAX_MS):
+    for _ in range(_MAX_STEPS_MS):
         due.run_us(1000.0)
         if due.halt == "breakpoint":
             break

@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 from typing import Final
 from unittest.mock import patch
 
-from heli_host.board.heli import Heli
 from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import Event, EventMessage, MessageId, State, Trigger
 from heli_host.fly.connection import connect
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
 from heli_host.link.frames import FrameParser
-from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.world import SilWorld
+
+from tests.sil.harness import world_of
 
 SHORT: Final = Plan.parse(
     '[start]\nsettle_s = 1\n[[segment]]\nkind = "ramp"\ntravel_deg = 5\nduration_s = 3\n'
@@ -259,10 +259,3 @@ def _deeds(
     if not does:
         return off_s, "cuts the motors"
     return acted_s, f"{', '.join(does)}, motors off after {off_s:.1f} s"
-
-
-def world_of(heli: Heli) -> SilWorld:
-    """The world behind an open connection."""
-    transport = heli.session.transport
-    assert isinstance(transport, InProcessTransport)
-    return transport.world

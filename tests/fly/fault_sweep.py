@@ -25,7 +25,7 @@ from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.runner import fly
 from heli_sim.rig import load_rig, write_rig
 
-from tests.fly.fault_flights import world_of
+from tests.sil.harness import world_of
 
 GAINS: Final = Path(__file__).with_name("gains")
 LEFT_DEG: Final = 30.0

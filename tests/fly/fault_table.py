@@ -16,11 +16,11 @@ from heli_host.declaration import MessageId, PingMessage
 from heli_host.link.frames import encode_frame
 from heli_sim import _native
 from heli_sim.sil.boards import EmulatedDue
-from heli_sim.sil.world import SilWorld
 
 from tests.firmware.desk import BRANCH_TO_SELF, SLOWEST_Hz
 from tests.firmware.desk import TICK as TICK_SYMBOL
 from tests.fly.fault_flights import Case, KilledError, Outcome, Struck, flown
+from tests.sil.harness import due_of
 
 _UNDEFINED: Final = b"\x00\xde"
 # Long enough for any watchdog of the chip, whose clock may be slow.
@@ -37,11 +37,6 @@ _DOWN_MS: Final = 15_000
 _KILLED: Final = "as if the host were killed"
 
 
-def emulated(world: SilWorld) -> EmulatedDue:
-    assert isinstance(world.board, EmulatedDue)
-    return world.board
-
-
 def wrong_edges(struck: Struck, ms: int) -> None:
     """Let both lines of the elevation encoder change at once, ten times."""
     board = struck.world.board
@@ -55,7 +50,7 @@ def wrong_edges(struck: Struck, ms: int) -> None:
 
 def noise(struck: Struck, ms: int) -> None:
     """Put half a million edges a second on the travel encoder's lines."""
-    due = emulated(struck.world).sim.due
+    due = due_of(struck.world).sim.due
     if ms < _FLOOD_MS:
         for k in range(_FLOOD_EDGES_PER_MS):
             due.schedule_step(_TRAVEL, (1, -1)[k % 2], due.now_us + 1.0 + 1e3 * k / _FLOOD_EDGES_PER_MS)
@@ -101,7 +96,7 @@ def reset(struck: Struck, ms: int) -> None:
 
 def hang(struck: Struck, ms: int) -> None:
     """Let the control tick run in a circle, while the watchdog's clock is as slow as it may be."""
-    emulated(struck.world).sim.due.set_slow_clock(SLOWEST_Hz)
+    due_of(struck.world).sim.due.set_slow_clock(SLOWEST_Hz)
     _overwrite(struck, ms, BRANCH_TO_SELF)
 
 
@@ -117,13 +112,13 @@ def _overwrite(struck: Struck, ms: int, code: bytes) -> None:
     address = image.address(TICK_SYMBOL)
     start, data = next(piece for piece in image.segments if 0 <= address - piece[0] < len(piece[1]))
     original_code = data[address - start :][: len(code)]
-    emulated(struck.world).sim.due.poke(address, code if ms == 0 else original_code)
+    due_of(struck.world).sim.due.poke(address, code if ms == 0 else original_code)
 
 
 def full_receiver(struck: Struck, ms: int) -> bytes:
     """Send without a pause while the processor stands still, more than the receiver's ring takes."""
     if ms in (0, _STANDS_STILL_MS):
-        emulated(struck.world).sim.due.hold_processor(ms == 0)
+        due_of(struck.world).sim.due.hold_processor(ms == 0)
     ping = encode_frame(MessageId.PING, 0, PingMessage(0, 0).pack())
     return ping * (_LINE_BYTES_PER_MS // len(ping)) if ms < _STANDS_STILL_MS else b""
 

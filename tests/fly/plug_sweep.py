@@ -24,8 +24,8 @@ from heli_sim.errors import SimError
 from heli_sim.rig import Rig, load_rig, write_rig
 from heli_sim.rig.schema import ENCODER_COUNTS
 
-from tests.fly.fault_flights import world_of
 from tests.fly.fault_sweep import PLANS
+from tests.sil.harness import world_of
 
 WRONG_DEG: Final = 2.0
 """A completed flight must not end with a larger error of a reading that any encoder could have shown."""

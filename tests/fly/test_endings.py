@@ -28,11 +28,10 @@ from heli_lab.control.law import from_gain
 from heli_sim.due import firmware
 from heli_sim.model.linear import rig_findings
 from heli_sim.rig import Rig, load_rig, write_rig
-from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.transport import SilProcess
-from heli_sim.sil.world import SilWorld
 
 from tests.fly.slip import PITCH, slipping
+from tests.sil.harness import world_of
 
 pytestmark = pytest.mark.medium
 
@@ -139,9 +138,7 @@ class Witness:
     """The states of the board in a flight, and its height when the motors went off."""
 
     def __init__(self, heli: Heli) -> None:
-        transport = heli.session.transport
-        assert isinstance(transport, InProcessTransport)
-        self.world = transport.world
+        self.world = world_of(heli)
         self.states: list[State] = []
         self.last_trigger = Trigger.START
         heli.on_ticks(self._take)
@@ -381,12 +378,6 @@ def test_a_healthy_rig_with_an_effect_is_completed(effect: str) -> None:
 
 
 RESTART_PLAN = Plan.parse('[start]\nsettle_s = 1\n[[segment]]\nkind = "hold"\nduration_s = 6\n', "hover.toml")
-
-
-def world_of(heli: Heli) -> SilWorld:
-    transport = heli.session.transport
-    assert isinstance(transport, InProcessTransport)
-    return transport.world
 
 
 def call_once_at(at_s: float, action: Callable[[], None]) -> Callable[[Progress], None]:

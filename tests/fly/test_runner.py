@@ -26,9 +26,8 @@ from heli_host.fly.runner import Progress, fly
 from heli_host.fly.tracking import TrackingMonitor
 from heli_host.link.telemetry import Ticks
 
-from tests.fly.fault_flights import world_of
 from tests.running.pixels import coloured_share
-from tests.sil.harness import PATIENT, SOON_LANDING
+from tests.sil.harness import PATIENT, SOON_LANDING, world_of
 
 pytestmark = pytest.mark.medium
 

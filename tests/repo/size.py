@@ -8,8 +8,11 @@ import ast
 import io
 import subprocess
 import sys
+import threading
 import tokenize
-from collections import Counter
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
@@ -43,42 +46,49 @@ def code_and_docstrings(source: str) -> tuple[int, int]:
     return len(code - docstrings), len(docstrings)
 
 
-def room_of(path: Path) -> str:
-    """Folder that a file is counted in: one level for tests and firmware, two for packages."""
+def rooms_of(path: Path) -> Iterator[str]:
+    """Folders and parts of the project in which a file is counted."""
     depth = 3 if path.parts[0] in ("host", "sim") else 2
-    return "/".join(path.parts[: min(depth, max(1, len(path.parts) - 1))])
+    yield "/".join(path.parts[: min(depth, max(1, len(path.parts) - 1))])
+    yield "all"
+    if "tests" in path.parts:
+        yield "all tests"
+        return
+    yield "all but tests"
+    for package in PACKAGES:
+        if path.suffix == ".py" and path.is_relative_to(package):
+            yield f"all of {package}"
+
+
+@dataclass
+class Size:
+    """Numbers of a folder."""
+
+    files: int = 0
+    lines: int = 0  # Lines of files whose suffix is one of `SOURCES`
+    python_files: int = 0
+    code: int = 0  # Lines of code in Python files
+    docstrings: int = 0  # Lines of docstrings in Python files
 
 
 def print_sizes() -> None:
     """Print files, lines, and lines of code per Python file, by folder and in all."""
-    files, lines, python, code, docstrings = (Counter[str]() for _ in range(5))
+    sizes: dict[str, Size] = defaultdict(Size)
     for path in tracked():
-        in_tests = "tests" in path.parts
-        for room in {room_of(path), "all", "all tests" if in_tests else "all but tests"}:
-            files[room] += 1
-            if path.suffix not in SOURCES:
-                continue
-            source = (ROOT / path).read_text(errors="replace")
-            lines[room] += source.count("\n")
-            if path.suffix == ".py":
-                of_code, of_docstrings = code_and_docstrings(source)
-                python[room] += 1
-                code[room] += of_code
-                docstrings[room] += of_docstrings
-        for package in PACKAGES:
-            if str(path).startswith(package + "/") and path.suffix == ".py" and not in_tests:
-                of_code, of_docstrings = code_and_docstrings((ROOT / path).read_text())
-                name = f"all of {package}"
-                files[name] += 1
-                python[name] += 1
-                code[name] += of_code
-                docstrings[name] += of_docstrings
+        source = (ROOT / path).read_text(errors="replace") if path.suffix in SOURCES else ""
+        is_python = path.suffix == ".py"
+        code, docstrings = code_and_docstrings(source) if is_python else (0, 0)
+        for room in rooms_of(path):
+            size = sizes[room]
+            size.files += 1
+            size.lines += source.count("\n")
+            size.python_files += is_python
+            size.code += code
+            size.docstrings += docstrings
     print(f"{'folder':<32}{'files':>7}{'lines':>9}{'code':>9}{'docstrings':>12}{'code per .py':>14}")
-    for room in sorted(files, key=lambda room: (room.startswith("all"), room)):
-        per_file = code[room] / max(1, python[room])
-        print(
-            f"{room:<32}{files[room]:>7}{lines[room]:>9}{code[room]:>9}{docstrings[room]:>12}{per_file:>14.0f}"
-        )
+    for room, size in sorted(sizes.items(), key=lambda item: (item[0].startswith("all"), item[0])):
+        per_file = size.code / max(1, size.python_files)
+        print(f"{room:<32}{size.files:>7}{size.lines:>9}{size.code:>9}{size.docstrings:>12}{per_file:>14.0f}")
 
 
 def print_entered(arguments: list[str]) -> int:
@@ -88,8 +98,6 @@ def print_entered(arguments: list[str]) -> int:
     def note(frame: FrameType, event: str, _: Any) -> None:
         if event == "call":
             entered.add(frame.f_code.co_filename)
-
-    import threading
 
     from heli_host.ui.cli.entry import run
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
@@ -12,6 +11,8 @@ from pathlib import Path
 
 import heli_host
 import pytest
+
+from tests.repo import size
 
 ROOT = Path(__file__).resolve().parents[2]
 # Written so that this file does not hold what it looks for.
@@ -29,8 +30,7 @@ TOP_LEVEL = {
 
 
 def tracked() -> list[Path]:
-    names = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    return [ROOT / name for name in names.splitlines() if (ROOT / name).is_file()]
+    return [ROOT / path for path in size.tracked()]
 
 
 def folders() -> list[Path]:

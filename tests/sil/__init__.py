@@ -6,8 +6,7 @@ do.
 
 | file | content |
 |---|---|
-| `harness.py` | speaks to the board in frames |
-| `patient.py` | boards that wait for a computer that stalls |
+| `harness.py` | hosts that speak to the board in frames, and boards that wait for a computer that stalls |
 | `faulty_flights.py` | flights drawn by seed, in which something fails |
 | `conftest.py` | builds the ELF file, and gives either board to a test |
 """

@@ -11,15 +11,15 @@ from dataclasses import dataclass, field
 
 import heli_host
 import numpy as np
-from heli_host.board.heli import Heli
 from heli_host.declaration import Event, EventMessage, Fault, MessageId, State, Trigger
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import Progress, fly
 from heli_host.link.frames import FrameParser
 from heli_host.link.telemetry import LinkCounters, TelemetryDecoder, Ticks
 from heli_sim import _native
-from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.world import SilWorld
+
+from tests.sil.harness import world_of
 
 PLAN = Plan.parse(
     '[start]\nsettle_s = 1\n[[segment]]\nkind = "ramp"\ntravel_deg = 5\nduration_s = 2\n'
@@ -191,13 +191,6 @@ def flown(case: Case) -> Flown:
     world.advance(round(1e3 * _DOWN_S))
     since = newest[0] if newest is not None else 0
     return Flown(case, summary.outcome, received, delivered, counters, since, list(world.native.volts_V))
-
-
-def world_of(heli: Heli) -> SilWorld:
-    """The world behind an open connection."""
-    transport = heli.session.transport
-    assert isinstance(transport, InProcessTransport)
-    return transport.world
 
 
 def mistakes_of(flight: Flown) -> list[str]:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host import Heli
 from heli_host.declaration import (
     LINK_HASH,
     AckMessage,
@@ -23,6 +24,8 @@ from heli_host.declaration import (
     WelcomeMessage,
 )
 from heli_host.link.frames import Frame, FrameParser, encode_frame
+from heli_sim.sil.boards import EmulatedDue
+from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions, parse_options
 from heli_sim.sil.ports import Endpoint
 from heli_sim.sil.server import SilServer, TimedClock
@@ -31,6 +34,19 @@ from heli_sim.sil.world import SilWorld
 
 def world(**options: str) -> SilWorld:
     return SilWorld(parse_options(options))
+
+
+def world_of(heli: Heli) -> SilWorld:
+    """The world behind an open connection."""
+    transport = heli.session.transport
+    assert isinstance(transport, InProcessTransport)
+    return transport.world
+
+
+def due_of(world: SilWorld) -> EmulatedDue:
+    """The emulated Due of a world."""
+    assert isinstance(world.board, EmulatedDue)
+    return world.board
 
 
 def hello_frame(seq: int = 0) -> bytes:

@@ -38,13 +38,12 @@ from heli_sim.due import firmware
 from heli_sim.due._due_board import DueBoard
 from heli_sim.errors import BoardStopped, FirmwareError, OptionError, RigError, SimError
 from heli_sim.rig import load_rig, write_rig
-from heli_sim.sil.boards import EmulatedDue, choose
-from heli_sim.sil.inprocess import InProcessTransport
+from heli_sim.sil.boards import choose
 from heli_sim.sil.options import parse_options
-from heli_sim.sil.world import SilWorld, saved
+from heli_sim.sil.world import saved
 
 from tests.running.long import samples
-from tests.sil.harness import Host, world
+from tests.sil.harness import Host, due_of, world, world_of
 
 __all__ = [
     "build",
@@ -61,17 +60,6 @@ BRANCH_TO_SELF = b"\xfe\xe7"
 
 def url(options: Board, **more: str) -> str:
     return "sil://?" + "&".join(f"{key}={value}" for key, value in {**options, **more}.items())
-
-
-def world_of(heli: Heli) -> SilWorld:
-    transport = heli.session.transport
-    assert isinstance(transport, InProcessTransport)
-    return transport.world
-
-
-def due_of(world: SilWorld) -> EmulatedDue:
-    assert isinstance(world.board, EmulatedDue)
-    return world.board
 
 
 def flown(options: Board, plan: str, log: Path, **more: str) -> FlightSummary:
@@ -508,9 +496,7 @@ def address_of_board(board: str, rig: Path, **more: str) -> str:
 
 
 def true_deg(heli: Heli) -> list[float]:
-    transport = heli.session.transport
-    assert isinstance(transport, InProcessTransport)
-    return [float(angle) for angle in np.rad2deg(transport.world.state[:3])]
+    return [float(angle) for angle in np.rad2deg(world_of(heli).state[:3])]
 
 
 @pytest.mark.medium

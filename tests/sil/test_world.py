@@ -42,8 +42,7 @@ from heli_sim.sil.transport import SilProcess
 from heli_sim.sil.world import SilWorld
 
 from tests.channels.groups import COUNTS
-from tests.fly.fault_flights import world_of
-from tests.sil.harness import Host, hello_frame, world
+from tests.sil.harness import Host, hello_frame, world, world_of
 
 
 @pytest.mark.medium

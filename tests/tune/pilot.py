@@ -54,10 +54,6 @@ class PilotFlight:
         return (self.t_s >= start_s) & (self.t_s < stop_s)
 
 
-def param_set(index: int, value: float, request: int) -> d.ParamSetMessage:
-    return d.ParamSetMessage(request, index, value)
-
-
 def with_numbers(plant: Plant, rig: Rig, **effects: float) -> Plant:
     """Another rig, and other numbers of its effects, for the equations that a plant has already compiled."""
     other = copy.copy(plant)

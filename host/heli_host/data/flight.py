@@ -49,7 +49,7 @@ deg/s of noise (rms) at 1 kHz, one of 1024 four times as much. A sine of 3 Hz lo
 the length would cost 2.8 times the noise.
 """
 
-_MIN_ROWS = 5
+_MIN_PARABOLA_ROWS = 5
 _GAP_RATIO = 1.75
 _MAX_POINTS = 800
 """Points of a line in the small figure, which is 640 dots wide."""
@@ -163,13 +163,13 @@ def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Flo
     from scipy.signal import savgol_filter
 
     rate_rad_s = np.full(t_s.shape, np.nan)
-    if t_s.size < _MIN_ROWS:
+    if t_s.size < _MIN_PARABOLA_ROWS:
         return rate_rad_s
     step_s = float(np.median(np.diff(t_s)))
-    rows = max(_MIN_ROWS, 2 * round(window_s / step_s / 2) + 1)
+    rows = max(_MIN_PARABOLA_ROWS, 2 * round(window_s / step_s / 2) + 1)
     cuts = [0, *(find_gaps(t_s) + 1), t_s.size]
     for start, stop in itertools.pairwise(cuts):
-        if stop - start >= _MIN_ROWS:
+        if stop - start >= _MIN_PARABOLA_ROWS:
             window_rows = min(rows, stop - start - (stop - start + 1) % 2)
             rate_rad_s[start:stop] = savgol_filter(
                 angle_rad[start:stop], window_rows, 2, deriv=1, delta=step_s

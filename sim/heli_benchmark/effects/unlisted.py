@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from heli_sim.rig import Rig
 
+from heli_benchmark.effects.listed import PitchDrag
 from heli_benchmark.plant import STEP_S, HiddenEffect, Moment
 
 
@@ -23,14 +24,6 @@ class Draught(HiddenEffect):
         # The jet has the shape of a normal distribution with a standard deviation of 0.12 rad.
         distance_std = (at.angles_rad[2] - self._jet_rad) / 0.12
         at.torque_Nm[2] += self.size * np.exp(-0.5 * distance_std**2)
-
-
-class PitchDragQuadratic(HiddenEffect):
-    """Air drag of the pitch axis; `size` is the torque in N m at 1 rad/s."""
-
-    def torque(self, at: Moment) -> None:
-        rate = at.rates_rad_s[1]
-        at.torque_Nm[1] -= self.size * rate * abs(rate)
 
 
 class StiffBearing(HiddenEffect):
@@ -132,7 +125,7 @@ class StickSlip(HiddenEffect):
 
 OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], float]] = {
     "draught": (Draught, 0.06),
-    "pitch_drag_quadratic": (PitchDragQuadratic, 0.06),
+    "pitch_drag_quadratic": (PitchDrag, 0.06),
     "stiff_bearing": (StiffBearing, 0.08),
     "cable_twist": (CableTwist, 0.03),
     "slosh": (Slosh, 0.2),

@@ -103,7 +103,7 @@ def diagnose(
         `error_reductions` has free-run errors before and after by axis, `held_out` at all horizons, both of
         the model with the confirmed causes. `replication` states which causes hold in both directions. `rig`
         makes the extended rig. `search` and `assessment` hold the evidence. `to_json`, `summary` and
-        `heli_lab.report.diagnosis.write_report` write the result for programs and readers.
+        `heli_lab.report.diagnosis.page.write_report` write the result for programs and readers.
 
     Raises
     ------

@@ -155,7 +155,7 @@ STRONG_CORRELATION: Final = 0.9
 """Correlation above which a pair is reported. Set by judgement, for legibility only."""
 UNEXPLAINED: Final = 0.6
 """Share of the motion of the best axis (RMS, no unit) above which the voltages do not explain a flight; see
-`explained.py`. Lower: hovers in disturbances are refused. Higher: slow noise is accepted.
+`unexplained_shares`. Lower: hovers in disturbances are refused. Higher: slow noise is accepted.
 
 Largest share that a flight leaves: 0.22 (practice), 0.27 (measured machines), 0.45 (field), 0.18 (a hover of
 12 s, one free parameter), 0.47 (a hover in the strongest disturbances of heli_benchmark). On other seeds,

@@ -46,8 +46,8 @@ class LinkedStep final : public heli_sim::PlantStep {
   void set_delay(double delay_s) { delay_s_ = delay_s; }
 
  private:
-  // The voltages that act if commands act late by delay_s, as in heli_sim.plant: a mean of two
-  // successive commands.
+  // The voltages that act if commands act late by delay_s, as in heli_sim.model.plant: a mean of
+  // two successive commands.
   std::array<double, 2> delayed(const double* volts_V) const {
     const auto ticks = static_cast<std::size_t>(std::ceil(delay_s_ / kTick_s - 1e-9));
     if (ticks == 0) return {volts_V[0], volts_V[1]};

@@ -90,6 +90,15 @@ def bends_per_s(seconds: float) -> tuple[float, ...]:
     return (0.0, 0.5 / seconds, 1.0 / seconds, 3.0 / seconds)
 
 
+_BEND: Final = Parameter(
+    "bend_per_s",
+    "1/s",
+    "rate kappa at which the loss levels off; kappa = r is an exponential fall to nothing",
+    0.0,
+    Prior(0.0, 0.03, low=-0.02, high=1.0),
+    grid=bends_per_s,
+)
+
 FADES: Final = EffectFamily(
     name="fading thrust",
     unclear="these flights do not show whether the supply fades or the thrust",
@@ -105,14 +114,7 @@ THRUST_FADE: Final = EffectSpec(
     stage=Stage.GAIN,
     numbers=(
         Parameter("per_s", "1/s", "share r lost a second", 0.003, Prior(0.0, 0.02, -0.02, 0.1), size=True),
-        Parameter(
-            "bend_per_s",
-            "1/s",
-            "rate kappa at which the loss levels off; kappa = r is an exponential fall to nothing",
-            0.0,
-            Prior(0.0, 0.03, low=-0.02, high=1.0),
-            grid=bends_per_s,
-        ),
+        _BEND,
     ),
     family=FADES,
     time_varying=True,
@@ -241,14 +243,7 @@ SUPPLY_FADE: Final = EffectSpec(
             Prior(0.0, 0.01, -0.01, 0.05),
             size=True,
         ),
-        Parameter(
-            "bend_per_s",
-            "1/s",
-            "rate kappa at which the loss levels off; kappa = r is an exponential fall to nothing",
-            0.0,
-            Prior(0.0, 0.03, low=-0.02, high=1.0),
-            grid=bends_per_s,
-        ),
+        _BEND,
     ),
     family=FADES,
     time_varying=True,
