@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import difflib
 import itertools
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from heli_host.data.arrays import Floats
+from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.data.tables.profile import MOTORS, Angle, Part, Profile, Voltage
 from heli_host.data.tables.table import COUNT, TIME_UNITS, Table
@@ -36,78 +37,118 @@ explains.
 """
 
 
+@dataclass(frozen=True)
+class _Rows:
+    """Consecutive rows of a table, as a flight names its columns."""
+
+    t_s: Floats  # (n,): Times
+    angles_rad: dict[str, Floats]  # (n,): Angles and setpoints by the name of the column, such as `pitch_rad`
+    voltages_V: dict[str, Floats]  # (n,): Voltages of the motors `front` and `back`
+
+    def selected(self, rows: slice | Booleans) -> _Rows:
+        """Return only some of the rows."""
+        return _Rows(
+            self.t_s[rows],
+            {name: values[rows] for name, values in self.angles_rad.items()},
+            {motor: volts[rows] for motor, volts in self.voltages_V.items()},
+        )
+
+
 def flights_of(table: Table, profile: Profile) -> list[Flight]:
     """Convert a table to flights: one, or several if gaps, jumps or the profile divide it."""
     table = table.aligned()
-    t_s = times_of(table, profile)
-    angles = {
-        axis: _angle_rad_of(table, entry, t_s, axis == TRAVEL) for axis, entry in profile.angles.items()
-    }
-    setpoints = {
-        axis: _angle_rad_of(table, entry, t_s, axis == TRAVEL) for axis, entry in profile.setpoints.items()
-    }
-    voltages = {name: _voltage_V_of(table, voltage, t_s) for name, voltage in profile.voltages.items()}
-    if "sum" in voltages:
-        total, difference = voltages["sum"], voltages["difference"]
-        voltages = {"front": 0.5 * (total + difference), "back": 0.5 * (total - difference)}
-    if profile.clip_V:
-        voltages = {name: np.clip(volts, *profile.clip_V) for name, volts in voltages.items()}
-    series = {f"{axis}_rad": values for axis, values in angles.items()}
-    series |= {f"{axis}_setpoint_rad": values for axis, values in setpoints.items()}
+    rows = _read_rows(table, profile)
     if profile.mirrored:
-        voltages = {"front": voltages["back"], "back": voltages["front"]}
-        series = {
-            name: values if name.startswith("elevation") else -values for name, values in series.items()
-        }
-    voltage_columns = {f"{name}_V": voltages[name] for name in MOTORS}
-    is_complete = np.isfinite(t_s)
-    for values in (*series.values(), *voltage_columns.values()):
-        is_complete &= np.isfinite(values)
-    # A repeated time is a repeated row. A time that falls begins another flight, see `_usable_stretches`.
-    is_complete[is_complete] &= (
-        np.concatenate(([True], np.diff(t_s[is_complete]) != 0.0)) if is_complete.any() else True
+        rows = _mirrored(rows)
+    rows = _complete_rows(rows, table.source)
+    if profile.act == "before":
+        rows = _with_voltages_of_next_row(rows)
+    part = profile.parts.get(Path(table.source).name, Part())
+    jumps = _find_jumps(rows)
+    flights = []
+    for stretch in _usable_stretches(rows.t_s, part, [*jumps], table.source):
+        recorded = rows.selected(stretch)
+        even = _evenly_sampled(recorded)
+        notes = _notes_of_file(table, part)
+        if stretch.start in jumps:
+            notes["cut"] = jumps[stretch.start]
+        notes |= _gap_note(recorded.t_s, len(even.t_s))
+        voltages_V = {f"{motor}_V": volts for motor, volts in even.voltages_V.items()}
+        columns: dict[str, Any] = {**voltages_V, **even.angles_rad}
+        flights.append(Flight(t_s=even.t_s, meta=notes, **columns))
+    return flights
+
+
+def _read_rows(table: Table, profile: Profile) -> _Rows:
+    """Return times, angles, setpoints and voltages of all rows; values that the table lacks are nan."""
+    t_s = times_of(table, profile)
+    angles_rad = {
+        f"{axis}{suffix}": _angle_rad_of(table, angle, t_s, axis == TRAVEL)
+        for suffix, angles in (("_rad", profile.angles), ("_setpoint_rad", profile.setpoints))
+        for axis, angle in angles.items()
+    }
+    voltages_V = {name: _voltage_V_of(table, voltage, t_s) for name, voltage in profile.voltages.items()}
+    if "sum" in voltages_V:
+        sum_V, difference_V = voltages_V["sum"], voltages_V["difference"]
+        voltages_V = {"front": 0.5 * (sum_V + difference_V), "back": 0.5 * (sum_V - difference_V)}
+    if profile.clip_V:
+        voltages_V = {motor: np.clip(volts, *profile.clip_V) for motor, volts in voltages_V.items()}
+    return _Rows(t_s, angles_rad, {motor: voltages_V[motor] for motor in MOTORS})
+
+
+def _mirrored(rows: _Rows) -> _Rows:
+    """Exchange the motors, and change the signs of pitch and travel."""
+    return _Rows(
+        rows.t_s,
+        {
+            name: values if name.startswith("elevation") else -values
+            for name, values in rows.angles_rad.items()
+        },
+        {"front": rows.voltages_V["back"], "back": rows.voltages_V["front"]},
     )
-    if int(is_complete.sum()) < MIN_ROWS:
+
+
+def _complete_rows(rows: _Rows, source: str) -> _Rows:
+    """Return the rows that have time, all angles and both voltages; a row that repeats a time is dropped.
+
+    A time that falls begins another flight, see `_usable_stretches`.
+    """
+    columns = np.array([rows.t_s, *rows.angles_rad.values(), *rows.voltages_V.values()])
+    complete = rows.selected(np.asarray(np.isfinite(columns).all(axis=0)))
+    complete = complete.selected(np.diff(complete.t_s, prepend=np.nan) != 0.0)
+    count = complete.t_s.size
+    if count < MIN_ROWS:
         raise FlightDataError(
-            f"{table.source}: only {int(is_complete.sum())} rows with all of time, angles and voltages",
+            f"{source}: only {count} rows with all of time, angles and voltages",
             "check the profile's columns",
         )
-    t_s = t_s[is_complete]
-    series = {name: values[is_complete] for name, values in series.items()}
-    voltage_columns = {name: values[is_complete] for name, values in voltage_columns.items()}
-    if profile.act == "before":
-        voltage_columns = {
-            name: np.concatenate((values[1:], values[-1:])) for name, values in voltage_columns.items()
-        }
-    part = profile.parts.get(Path(table.source).name, Part())
+    return complete
+
+
+def _with_voltages_of_next_row(rows: _Rows) -> _Rows:
+    """Give each row the voltages of the next one, if the table has in each row those that acted until it."""
+    return replace(
+        rows,
+        voltages_V={motor: np.append(volts[1:], volts[-1]) for motor, volts in rows.voltages_V.items()},
+    )
+
+
+def _notes_of_file(table: Table, part: Part) -> dict[str, str]:
+    """Return the notes that all flights of a file have in common."""
     notes = {"imported from": Path(table.source).name}
     if part.group:
         notes["group"] = part.group
     if table.notes:
         notes["notes of the file"] = " / ".join(table.notes.split("\n"))
-    flights = []
-    jumps = _find_jumps(t_s, series)
-    for start, stop in _usable_stretches(t_s, part, [*jumps], table.source):
-        even_s, even_series, even_voltages = _evenly_sampled(
-            t_s[start:stop],
-            {name: values[start:stop] for name, values in series.items()},
-            {name: values[start:stop] for name, values in voltage_columns.items()},
-        )
-        columns: dict[str, Any] = {**even_voltages, **even_series}
-        cut_note = {"cut": jumps[start]} if start in jumps else {}
-        flights.append(
-            Flight(
-                t_s=even_s, meta={**notes, **cut_note, **_gap_note(t_s[start:stop], len(even_s))}, **columns
-            )
-        )
-    return flights
+    return notes
 
 
-def _find_jumps(t_s: Floats, series: dict[str, Floats]) -> dict[int, str]:
+def _find_jumps(rows: _Rows) -> dict[int, str]:
     """Return the rows at which an angle jumps farther than an arm can turn, with the reason as text."""
+    t_s = rows.t_s
     limit_deg = np.maximum(_JUMP_DEG, _JUMP_DEG_S * np.diff(t_s))
     jumps: dict[int, str] = {}
-    for name, values in series.items():
+    for name, values in rows.angles_rad.items():
         if name.endswith("_setpoint_rad"):
             continue
         steps_deg = np.degrees(np.diff(values))
@@ -201,39 +242,34 @@ def _without_delay(values: Floats, t_s: Floats, delay_s: float) -> Floats:
     return shifted
 
 
-def _evenly_sampled(
-    t_s: Floats, series: dict[str, Floats], voltage_columns: dict[str, Floats]
-) -> tuple[Floats, dict[str, Floats], dict[str, Floats]]:
-    """Resample rows to even times if their steps vary; return times, angles and voltages.
+def _evenly_sampled(rows: _Rows) -> _Rows:
+    """Resample rows to even times if their steps vary.
 
     Angles are interpolated linearly. A voltage holds its value until the next row.
     """
+    t_s = rows.t_s
     steps_s = np.diff(t_s)
     step_s = float(np.median(steps_s))
     regular_steps_s = steps_s[steps_s < _GAP_STEPS * step_s]
-    is_uneven = float(np.std(regular_steps_s)) > UNEVEN * step_s
-    # Times that were rounded, for example to whole milliseconds, count as even.
     mean_s = float(regular_steps_s.mean())
-    is_rounded = np.abs(t_s - t_s[0] - mean_s * np.arange(t_s.size)).max() < 1.5 * step_s
-    if not is_uneven and len(regular_steps_s) == len(steps_s):
-        return t_s, series, voltage_columns
-    if is_rounded and len(regular_steps_s) == len(steps_s):
-        return t_s[0] + mean_s * np.arange(t_s.size), series, voltage_columns
-    step_s = mean_s
-    even_s = t_s[0] + step_s * np.arange(int((t_s[-1] - t_s[0]) / step_s) + 1)
-    last = np.clip(np.searchsorted(t_s, even_s + 1e-9, side="right") - 1, 0, None)
-    return (
+    if len(regular_steps_s) == len(steps_s):
+        if float(np.std(steps_s)) <= UNEVEN * step_s:
+            return rows
+        rounded_s = t_s[0] + mean_s * np.arange(t_s.size)
+        # Times that were rounded, for example to whole milliseconds, count as even.
+        if np.abs(t_s - rounded_s).max() < 1.5 * step_s:
+            return replace(rows, t_s=rounded_s)
+    even_s = t_s[0] + mean_s * np.arange(int((t_s[-1] - t_s[0]) / mean_s) + 1)
+    last_row = np.clip(np.searchsorted(t_s, even_s + 1e-9, side="right") - 1, 0, None)
+    return _Rows(
         even_s,
-        {name: np.interp(even_s, t_s, values) for name, values in series.items()},
-        {name: values[last] for name, values in voltage_columns.items()},
+        {name: np.interp(even_s, t_s, values) for name, values in rows.angles_rad.items()},
+        {motor: volts[last_row] for motor, volts in rows.voltages_V.items()},
     )
 
 
-def _usable_stretches(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[tuple[int, int]]:
-    """Divide the rows at gaps, falling times and `jumps`, without the times that the profile excludes.
-
-    Returns the first row of each stretch, and the row after its last.
-    """
+def _usable_stretches(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[slice]:
+    """Divide the rows at gaps, falling times and `jumps`, without the times that the profile excludes."""
     is_included = np.ones(t_s.size, bool)
     for start_s, stop_s in part.leave_out_s:
         is_included &= (t_s < start_s) | (t_s >= stop_s)
@@ -242,7 +278,7 @@ def _usable_stretches(t_s: Floats, part: Part, jumps: list[int], source: str) ->
     breaks = np.union1d(breaks, jumps)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], is_included.astype(int), [0]))))
     stretches = [
-        (int(first), int(after_last))
+        slice(int(first), int(after_last))
         for start, stop in zip(edges[::2], edges[1::2], strict=True)
         for first, after_last in itertools.pairwise(
             [start, *breaks[(breaks > start) & (breaks < stop)], stop]
