@@ -13,6 +13,7 @@ from dataclasses import asdict
 from itertools import zip_longest
 from multiprocessing import get_context
 from pathlib import Path
+from typing import NamedTuple
 
 from heli_lab.apps.campaign import Campaign, Store, campaign_results
 from heli_lab.apps.campaign import Case as CampaignCase
@@ -92,8 +93,15 @@ def _print_visibilities(cases: Sequence[Case], options: argparse.Namespace) -> i
     return 0
 
 
-def _run_cases(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[tuple[Row | None, str]]:
-    """Run all cases, and yield for each its row and an empty text, or None and the failure.
+class _CaseResult(NamedTuple):
+    """Result of a case: a row, or the reason why the case has none."""
+
+    row: Row | None
+    failure: str = ""
+
+
+def _run_cases(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[_CaseResult]:
+    """Run all cases, and yield their results.
 
     Rows of an earlier run with the same code come first; the others come as they are finished.
     """
@@ -109,21 +117,20 @@ def _run_cases(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[t
     known = {} if options.keep else store.read(keys)
     for answer in known.values():
         if not answer.failure:
-            yield Row.read(answer.detail), ""
+            yield _CaseResult(Row.read(answer.detail))
     campaign = Campaign("blind", tuple(campaign_cases.values()))
     try:
         for result in campaign_results(campaign, store, processes=options.processes, code=code, again=again):
-            yield (
-                (None, f"{result.name}: {result.failure}")
-                if result.failure
-                else (Row.read(result.detail), "")
-            )
+            if result.failure:
+                yield _CaseResult(None, f"{result.name}: {result.failure}")
+            else:
+                yield _CaseResult(Row.read(result.detail))
     except KeyboardInterrupt:
         print("stopped; the same command continues")
         raise SystemExit(130) from None
 
 
-def _print_progress(results: Iterable[tuple[Row | None, str]], count: int) -> Iterator[Row]:
+def _print_progress(results: Iterable[_CaseResult], count: int) -> Iterator[Row]:
     """Print one line per result, with the time that the remaining ones of `count` need; yield the rows."""
     started_s = time.monotonic()
     for number, (row, failure) in enumerate(results, 1):

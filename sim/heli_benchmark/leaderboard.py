@@ -56,12 +56,13 @@ def summarise_runs(runs: Mapping[str, Sequence[CaseScore]], seed: int = 0) -> di
 
 
 def _scores_of_method(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
-    """Return all scores of one method; `weights` has the resamples, shape (resamples, cases)."""
-    loss, base = _log_losses(scores)
-    cost = {
-        "cpu_s": _mean_of_known([case.cpu_s for case in scores]),
-        "peak_MB": max((case.peak_MB for case in scores if case.peak_MB is not None), default=None),
-    }
+    """Return all scores of one method over the cases, with intervals from the resamples of `weights`, shape
+    (resamples, cases).
+    """
+    loss, base_loss = _log_losses(scores)
+    count = len(scores)
+    # The score of the cases themselves gives each of them the weight 1.
+    skill = _skill(loss, base_loss, np.ones((1, count)))
     sums_by_name = _case_sums(scores)
     ratios = {name: _ratio_of_sums(sums, weights) for name, sums in sums_by_name.items()}
     for name in _SHARES:
@@ -71,22 +72,21 @@ def _scores_of_method(scores: Sequence[CaseScore], weights: Floats) -> dict[str,
         log_ratio = ratios["prediction_error"][end]
         ratios["prediction_error"][end] = None if log_ratio is None else float(np.exp(log_ratio))
     return {
-        "skill": _score_with_interval(
-            _skill(loss, base, np.ones((1, len(loss)))), _skill(loss, base, weights), len(loss)
-        ),
+        "skill": _score_with_interval(skill, _skill(loss, base_loss, weights), count),
         **ratios,
         "calibration_error": _calibration(scores, weights),
-        **cost,
+        "cpu_s": _mean_of_known([case.cpu_s for case in scores]),
+        "peak_MB": max((case.peak_MB for case in scores if case.peak_MB is not None), default=None),
         "failed": sum(bool(case.failure) for case in scores),
     }
 
 
-def _skill(loss: Floats, base: Floats, weights: Floats) -> Floats:
+def _skill(loss: Floats, base_loss: Floats, weights: Floats) -> Floats:
     """Return 1 - (sum of the losses) / (sum of the losses of the base rates) in each resample.
 
     Skill 1 is a perfect answer in each case, and 0 is no better than the base rates.
     """
-    return np.asarray(1.0 - weights @ loss / (weights @ base))
+    return np.asarray(1.0 - weights @ loss / (weights @ base_loss))
 
 
 def _log_losses(scores: Sequence[CaseScore]) -> tuple[Floats, Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,7 +75,8 @@ def matrix_exponentials(matrices: Floats) -> Floats:
     matrices on a busy computer.
     """
     # Halve the matrices until the largest norm is at most 0.25, where nine terms of the series are exact.
-    halvings = max(0, int(np.ceil(np.log2(np.abs(matrices).sum(axis=2).max() / 0.25))))
+    norm = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
+    halvings = math.ceil(math.log2(norm / 0.25)) if norm > 0.25 else 0
     halved = matrices / 2.0**halvings
     result = unit = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
     # Horner's scheme: 1 + x (1 + x / 2 (1 + x / 3 (...))).

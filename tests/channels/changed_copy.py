@@ -76,7 +76,9 @@ class ChangedCopy:
         suffix = sysconfig.get_config_var("EXT_SUFFIX")
         for module in (_kalman, _expression_vm):
             package, name = module.__name__.rsplit(".", 1)
-            shutil.copy(str(module.__file__), self.root / "sim" / Path(*package.split(".")) / f"{name}{suffix}")
+            shutil.copy(
+                str(module.__file__), self.root / "sim" / Path(*package.split(".")) / f"{name}{suffix}"
+            )
 
     @property
     def extension(self) -> Path:

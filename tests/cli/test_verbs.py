@@ -208,7 +208,7 @@ def test_help_imports_nothing_heavy() -> None:
 def test_a_flight_that_ended_early_says_what_to_do(outcome: str, message: str) -> None:
     summary = FlightSummary(outcome, 1.0, 1000, 0, {}, {}, {})
     with pytest.raises(FlightAborted) as ended:
-        FlownFlight(summary, Path("f.mcap"), (), None, None).end()
+        FlownFlight(summary, Path("f.mcap"), (), None, None).raise_if_not_completed()
     assert str(ended.value) == message
 
 

@@ -145,7 +145,7 @@ def test_sympy_text_of_a_term_has_the_values_along_a_flight() -> None:
     values = dict(zip(SYMBOLS, numbers, strict=True))
     for group in SAMPLE:
         equation = Equation(group.terms)
-        parameters = dict.fromkeys(equation.coefficients, 0.7) | {
+        parameters = dict.fromkeys(equation.coefficient_names, 0.7) | {
             inner.name: inner.value for inner in equation.inner_parameters()
         }
         channel = equation.channels[0]
@@ -168,9 +168,9 @@ def test_written_effect_file_has_the_fitted_equation(number: int, tmp_path: Path
     # An equation of two groups on different channels, together with a lag of the rotors.
     first, second = SAMPLE[number], SAMPLE[-1 - number]
     equation = Equation(tuple(dict.fromkeys((*first.terms, *second.terms))))
-    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0))
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficient_names, 1.0))
     values = {**effect.values}
-    for i, name in enumerate(equation.coefficients):
+    for i, name in enumerate(equation.coefficient_names):
         values[f"{NAME}_{name}"] = 0.1 + 0.03 * i
     numbers = {
         q.name.removeprefix(f"{NAME}_"): (values[q.name], 0.01 if q.name in effect.priors else 0.0, q.unit)
@@ -288,7 +288,7 @@ def test_second_equation_gets_another_name() -> None:
     assert free_name(("proposed_term", "proposed_term_2")) == "proposed_term_3"
     equation = Equation((EquationTerm("torque.pitch", Term((Factor("linear", "elevation"),))),))
     first, second = (
-        equation_effect(equation, dict.fromkeys(equation.coefficients, 1.0), name=name)
+        equation_effect(equation, dict.fromkeys(equation.coefficient_names, 1.0), name=name)
         for name in ("first", "second")
     )
     assert len(MultibodyModel((first, second)).parameters) == len(MultibodyModel().parameters) + 2
@@ -352,8 +352,10 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
     for term in one_per_kind_of_channel:
         (scored,) = score_groups(screening, signals, [TermGroup((term,), 1)])
         equation = Equation((term,))
-        effect = equation_effect(equation, dict(zip(equation.coefficients, scored.prior_std, strict=True)))
-        coefficient_names = tuple(f"proposed_term_{name}" for name in equation.coefficients)
+        effect = equation_effect(
+            equation, dict(zip(equation.coefficient_names, scored.prior_std, strict=True))
+        )
+        coefficient_names = tuple(f"proposed_term_{name}" for name in equation.coefficient_names)
         extended = ExtendedModel(MultibodyModel(), effect, coefficient_names)
         (flight,) = signals.linearised_flights
         rates, _ = extended.run(flight.trajectory, effect.values)
@@ -443,7 +445,7 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(
             for form in ("sin", "cos")
         )
     )
-    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 0.1))
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficient_names, 0.1))
     theta = np.array([0.03, 0.02, *periods])
     names = [f"{effect.prefix}_{name}" for name in ("c1_Nm", "c2_Nm", "k1", "k2")]
     assert set(names) == set(effect.priors)
@@ -457,7 +459,9 @@ def test_sine_and_cosine_of_a_wave_share_their_whole_number(
     )
     base = cast(Hypothesis, SimpleNamespace(ids=(), candidates=(), params={}, log_likelihood=0.0))
     refits = equation_search(base).refits
-    monkeypatch.setattr(refits, "prior_std", lambda equation, _: dict.fromkeys(equation.coefficients, 0.1))
+    monkeypatch.setattr(
+        refits, "prior_std", lambda equation, _: dict.fromkeys(equation.coefficient_names, 0.1)
+    )
     monkeypatch.setattr(
         refits,
         "refit",
@@ -497,7 +501,7 @@ def equivalent_effect(hidden: str, equation: Equation, *ids: str, unlisted: bool
     flight = flights(hidden, unlisted=unlisted)[0]
     comparison = ModelComparison(MultibodyModel(), rig, [prepare(flight, rig, "fit")], [])
     base = comparison.refit([])
-    effect = equation_effect(equation, dict.fromkeys(equation.coefficients, 0.1))
+    effect = equation_effect(equation, dict.fromkeys(equation.coefficient_names, 0.1))
     warm_start = comparison.refit(
         [Candidate(effect.name, effect, tuple(effect.priors))], {**effect.values, **base.params}, base
     )

@@ -18,6 +18,7 @@ from heli_lab.fit.innovations import InnovationsModel
 from heli_lab.fit.linearised_flight import BLOCK_s, Derivatives, LinearisedFlight
 from heli_lab.fit.model_functions import ModelFunctions
 from heli_lab.fit.reference_trajectory import ReferenceTrajectory
+from heli_lab.state_space import matrix_exponentials
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 
@@ -248,3 +249,10 @@ def test_equivalent_torque_is_zero_about_an_axis_that_friction_holds() -> None:
     assert torque_Nm[100, 2] == 0.0
     caused_in_step = by_disturbance[100, 3:6] @ torque_Nm[100]
     assert np.abs(caused_in_step - accelerations[100])[:2].max() < 1e-9
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.25, 2.0, 40.0])
+def test_the_exponential_of_a_skew_matrix_is_a_rotation(angle: float) -> None:
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    exponentials = matrix_exponentials(angle * np.array([[[0.0, -1.0], [1.0, 0.0]]] * 2))
+    assert exponentials == pytest.approx(np.array([rotation, rotation]), abs=1e-10)

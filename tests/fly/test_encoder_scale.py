@@ -24,7 +24,13 @@ from heli_lab.watch.encoder_scale import (
     warning_text,
     wrong_scale,
 )
-from heli_lab.watch.weak_form import Part, TestFunctions
+from heli_lab.watch.weak_form import (
+    SCALES_AND_FACTOR,
+    VOLTAGE_FACTOR,
+    FlightInWeakForm,
+    Part,
+    TestFunctions,
+)
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 
@@ -206,3 +212,20 @@ def test_a_lag_is_the_mean_of_its_response_over_each_step() -> None:
     fine_s = np.arange(190 * 200) * step_s / 200 + 0.5 * step_s / 200
     wanted = (2.0 - np.exp(-fine_s / lag_s)).reshape(190, 200).mean(axis=1)
     assert part.lagged_V(lag_s)[10:, 0] == pytest.approx(wanted, abs=1e-5)
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.4])
+def test_derivatives_are_those_of_the_residuals_also_in_the_dead_zone(factor: float) -> None:
+    """With the factor 0.4, many voltages are in the dead zone, in which neither factor nor lag counts."""
+    flight = FlightInWeakForm(flight_of("travel:1"), load_rig("makki2024"), MultibodyModel())
+    unknowns = flight.mean.copy()
+    unknowns[VOLTAGE_FACTOR] = np.log(factor)
+    _, jacobians = flight.residuals(unknowns)
+    for column in (*range(SCALES_AND_FACTOR + 3), len(unknowns) - 1):
+        step = np.zeros(len(unknowns))
+        step[column] = 1e-4
+        after, before = (flight.residuals(unknowns + sign * step)[0] for sign in (1.0, -1.0))
+        for axis in range(3):
+            slope = (after[axis] - before[axis]) / 2e-4
+            size = max(np.abs(slope).max(), 1e-3)
+            assert jacobians[axis][:, column] == pytest.approx(slope, abs=0.01 * size), (column, axis)

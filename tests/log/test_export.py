@@ -15,7 +15,7 @@ from heli_host.data.log.figure import draw, write_figure
 from heli_host.data.log.reader import read_flight, read_log
 from heli_host.data.log.summary import summarise, tracking_errors_deg
 from heli_host.data.log.table import export_mat, export_parquet, write_csv
-from heli_host.data.response import count_rad, effort_V, flown_rows, of_its_law, responses, steps
+from heli_host.data.response import count_rad, effort_V, flight_under_law, flown_rows, responses, steps
 from heli_host.declaration import Axis, Channel, Flags, State
 from heli_host.errors import LogWriteError
 
@@ -312,7 +312,7 @@ def test_an_axis_that_a_law_does_not_lead_has_no_error() -> None:
     all_responses = responses(replace(flight_of_law, pitch_setpoint_rad=commanded))
     # Over the rows in which the board led it alone: no merit for the law.
     assert all_responses[1].rms_deg == pytest.approx(math.degrees(0.1))
-    rows_of_law = of_its_law(replace(flight_of_law, pitch_setpoint_rad=commanded))
+    rows_of_law = flight_under_law(replace(flight_of_law, pitch_setpoint_rad=commanded))
     assert rows_of_law.t_s[0] > 10.0
     assert math.isnan(responses(rows_of_law)[1].rms_deg)
     assert responses(rows_of_law)[0].rms_deg == pytest.approx(math.degrees(0.01))

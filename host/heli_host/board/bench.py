@@ -16,6 +16,7 @@ from heli_host.declaration import (
     ZeroMessage,
 )
 from heli_host.errors import ParameterError
+from heli_host.link.engine import UNNUMBERED
 from heli_host.link.session import Session
 
 
@@ -29,7 +30,7 @@ class Bench:
     def stream(self) -> None:
         """Let this program set the motor voltages."""
         self._session.keep_alive(None)
-        self._session.command(StreamMessage(0))
+        self._session.command(StreamMessage(UNNUMBERED))
         self._session.wait_for_state(State.STREAMED)
 
     def voltages(self, front_V: float, back_V: float, valid_s: float) -> None:
@@ -55,18 +56,18 @@ class Bench:
                 names = ", ".join(member.name.lower() for member in Excitation if member)
                 raise ParameterError(f"unknown excitation {kind}", f"choose from {names}")
             kind = Excitation[kind.upper()]
-        message = ExciteMessage(0, int(kind), front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
+        message = ExciteMessage(UNNUMBERED, int(kind), front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
         self._session.command(message)
 
     def excite_stop(self) -> None:
         """End the excitation."""
-        self._session.command(ExciteStopMessage(0))
+        self._session.command(ExciteStopMessage(UNNUMBERED))
 
     def zero(self, axes: Axes) -> None:
         """Make the present position the rest angle or the zero of the encoders of these axes."""
-        self._session.command(ZeroMessage(0, int(axes)))
+        self._session.command(ZeroMessage(UNNUMBERED, int(axes)))
 
     def clear_fault(self) -> None:
         """Leave the fault state for idle."""
-        self._session.command(ClearFaultMessage(0))
+        self._session.command(ClearFaultMessage(UNNUMBERED))
         self._session.wait_for_state(State.IDLE)

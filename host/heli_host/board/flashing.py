@@ -40,7 +40,7 @@ from heli_host.declaration import (
     WelcomeMessage,
 )
 from heli_host.errors import FlashError, HeliError, ImageError, UploaderError
-from heli_host.link.engine import Command, CommandSlot, RequestNumbers
+from heli_host.link.engine import UNNUMBERED, Command, CommandSlot, RequestNumbers
 from heli_host.link.frames import FrameParser, encode_frame
 
 if TYPE_CHECKING:
@@ -181,12 +181,12 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
     """Read the saved parameters of a board that speaks another version of the link."""
     board = _Asker(transport, timeout_s)
     # The first hello asks for the hash of the board's link; a second one with that hash opens the session.
-    welcome = WelcomeMessage.unpack(board.ask(HelloMessage(0, _NO_HASH, 0)))
+    welcome = WelcomeMessage.unpack(board.ask(HelloMessage(UNNUMBERED, _NO_HASH, 0)))
     if welcome.params_source not in _STORED:
         return {}
-    board.ask(HelloMessage(0, welcome.link_hash, 0))
+    board.ask(HelloMessage(UNNUMBERED, welcome.link_hash, 0))
     origin = ParamsOriginMessage.unpack(
-        board.ask(ParamsOriginReadMessage(0), ParamsOriginMessage.STRUCT.size)
+        board.ask(ParamsOriginReadMessage(UNNUMBERED), ParamsOriginMessage.STRUCT.size)
     )
     if origin.schema != PARAMS_HASH or origin.source == ParamsSource.MIGRATED:
         raise _unreadable_error(
@@ -196,7 +196,7 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
     values: list[float] = []
     while len(values) < len(PARAMS):
         first = len(values)
-        payload = board.ask(ParamsReadMessage(0, first))
+        payload = board.ask(ParamsReadMessage(UNNUMBERED, first))
         head, size = ParamsMessage.unpack(payload), ParamsMessage.STRUCT.size
         if head.first != first or head.count == 0 or len(payload) != size + 4 * head.count:
             raise _unreadable_error("its list of parameters has another layout")

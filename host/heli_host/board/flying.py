@@ -25,6 +25,7 @@ from heli_host.declaration import (
 )
 from heli_host.errors import FlightAborted, SetpointError, fault_text
 from heli_host.link.clock import TICK_S
+from heli_host.link.engine import UNNUMBERED
 from heli_host.link.telemetry import Ticks
 
 
@@ -134,20 +135,20 @@ class Flying:
         pitch_count_deg = 360.0 / abs(self.params["pitch_counts_per_rev"])
         samples = self.telemetry.samples(_REST_S)
         at_rest = RestAngles.of(self.telemetry.latest, samples, pitch_count_deg)
-        self.session.command(ArmMessage(0))
+        self.session.command(ArmMessage(UNNUMBERED))
         self.at_rest = at_rest
         self.session.wait_for_state(State.ARMED)
 
     def stop(self) -> None:
         """Switch both motors off immediately, and wait until telemetry shows it."""
         self.forget_target()
-        self.session.command(StopMessage(0))
+        self.session.command(StopMessage(UNNUMBERED))
         self.session.wait_for_state(*MOTORS_OFF)
 
     def control(self, axes: Axes = ALL_AXES, front_V: float = 0.0, back_V: float = 0.0) -> None:
         """Close the loops of `axes` at the arm's present position, or drive the motors in open loop."""
         was_flying = self.session.state is State.CLOSED_LOOP
-        self.session.command(ControlMessage(0, int(axes), front_V, back_V))
+        self.session.command(ControlMessage(UNNUMBERED, int(axes), front_V, back_V))
         self.axes = axes
         if not axes:
             self.forget_target()

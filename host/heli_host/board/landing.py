@@ -14,6 +14,7 @@ from heli_host.board.samples import Sample, Samples
 from heli_host.declaration import Axes, Fault, LandMessage, State, StopMessage, Trigger
 from heli_host.errors import CommandRefused, FlightAborted, HeliError, LinkLost, announce, fault_text
 from heli_host.link.clock import TICK_S
+from heli_host.link.engine import UNNUMBERED
 from heli_host.link.events import BOARD_RESTARTED
 
 STOP_TRIES: Final = 3
@@ -66,7 +67,7 @@ class Landing:
             return
         if not wait:
             self._flying.forget_target()
-            self._session.command(LandMessage(0))
+            self._session.command(LandMessage(UNNUMBERED))
         elif trouble := self.bring_down():
             raise FlightAborted(trouble)
 
@@ -175,9 +176,9 @@ class Landing:
         try:
             if self.is_in_the_air:
                 self._stop_turning(state)
-                self._session.command(LandMessage(0))
+                self._session.command(LandMessage(UNNUMBERED))
             else:
-                self._session.command(StopMessage(0))
+                self._session.command(StopMessage(UNNUMBERED))
         except CommandRefused:
             # The board has left the state meanwhile, which the next sample shows.
             self._session.wait_for(lambda: self._session.state is not state, _LOOK_S)

@@ -42,6 +42,7 @@ from heli_host.declaration import (
 from heli_host.errors import BadLaw, ControllerError, FlightAborted, HeliError, check_choice, fault_text
 from heli_host.link.channels import physical
 from heli_host.link.clock import TICK_S
+from heli_host.link.engine import UNNUMBERED
 from heli_host.link.events import LAW_SIGNAL_NAMES
 from heli_host.link.telemetry import Ticks
 
@@ -357,7 +358,7 @@ _ENGAGED_TIMEOUT_S: Final = 1.0
 
 def loaded(session: Session) -> LawMessage:
     """Ask the board which law it has."""
-    return LawMessage.unpack(session.request(LawReadMessage(0)).payload)
+    return LawMessage.unpack(session.request(LawReadMessage(UNNUMBERED)).payload)
 
 
 def upload(session: Session, program: LawProgram) -> LawMessage:
@@ -366,11 +367,11 @@ def upload(session: Session, program: LawProgram) -> LawMessage:
     words = program.words
     if board_law.hash == program.hash and board_law.state in (LawState.READY, LawState.FLYING):
         return board_law
-    session.command(LawBeginMessage(0, program.hash, len(words)))
+    session.command(LawBeginMessage(UNNUMBERED, program.hash, len(words)))
     for first in range(0, len(words), PART_WORDS):
         part = words[first : first + PART_WORDS]
-        session.command(LawPartMessage(0, first, *part, *([0] * (PART_WORDS - len(part)))))
-    session.command(LawEndMessage(0))
+        session.command(LawPartMessage(UNNUMBERED, first, *part, *([0] * (PART_WORDS - len(part)))))
+    session.command(LawEndMessage(UNNUMBERED))
     return loaded(session)
 
 
@@ -381,7 +382,7 @@ def set_parameter(session: Session, program: LawProgram, name: str, value: float
         known = ", ".join(names) or "none"
         raise BadLaw(f"control law {program.name} has no parameter {name}", f"choose from: {known}")
     check_number(f"parameter {name}", value)
-    return session.command(LawSetMessage(0, names.index(name), value)).value
+    return session.command(LawSetMessage(UNNUMBERED, names.index(name), value)).value
 
 
 @dataclass(frozen=True)
@@ -420,7 +421,7 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
     for name, value in (parameters or {}).items():
         set_parameter(heli.session, program, name, value)
     start = heli.latest.tick
-    heli.session.command(LawFlyMessage(0, 1))
+    heli.session.command(LawFlyMessage(UNNUMBERED, 1))
     law_ticks: list[int] = []
 
     def has_engaged(sample: Sample) -> bool:
@@ -463,7 +464,7 @@ def fly_law(
         reason, value = reasons[-1] if reasons else ("unknown", 0.0)
         report = LawReport(program.name, program.hash, report.flown_s, reason, value)
     else:
-        heli.session.command(LawFlyMessage(0, 0))
+        heli.session.command(LawFlyMessage(UNNUMBERED, 0))
     if heli.latest.state is State.FAULT:
         raise FlightAborted(f"the board switched the motors off: {fault_text(heli.latest.fault)}")
     _end_law(heli, after)

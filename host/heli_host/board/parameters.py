@@ -30,6 +30,7 @@ from heli_host.declaration import (
     Result,
 )
 from heli_host.errors import CommandRefused, HeliError, LinkError, ParameterError, file_remedy, range_text
+from heli_host.link.engine import UNNUMBERED
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
 from heli_host.link.session import Session
 
@@ -85,7 +86,7 @@ class Parameters(Mapping[str, float]):
         """
         spec = checked(name, value)
         try:
-            ack = self._session.command(ParamSetMessage(0, spec.index, value))
+            ack = self._session.command(ParamSetMessage(UNNUMBERED, spec.index, value))
         except CommandRefused as error:
             if error.result == Result.OUT_OF_RANGE:
                 # The value is in the declared range, but this board was built with a smaller range.
@@ -104,11 +105,11 @@ class Parameters(Mapping[str, float]):
         """Write all parameters to the board's flash, so that they outlast a restart; only while idle. Returns
         the generation of the stored set.
         """
-        return round(self._session.command(ParamsSaveMessage(0)).value)
+        return round(self._session.command(ParamsSaveMessage(UNNUMBERED)).value)
 
     def defaults(self) -> None:
         """Put the declared defaults into the board's memory; only while idle; does not save."""
-        self._session.command(ParamsDefaultMessage(0))
+        self._session.command(ParamsDefaultMessage(UNNUMBERED))
         self.refresh()
 
     def dump(self) -> dict[str, float]:
@@ -270,14 +271,15 @@ class ParameterOrigin:
 
 
 def read_origin(session: Session) -> ParameterOrigin:
-    """Ask the board which parameters its stored set gave."""
-    answer = ParamsOriginMessage.unpack(session.request(ParamsOriginReadMessage(0)).payload)
-    bits = answer.new_0 | answer.new_1 << 32 | answer.new_2 << 64
+    """Read from the board which of its parameters come from the set that was stored in its flash."""
+    answer = ParamsOriginMessage.unpack(session.request(ParamsOriginReadMessage(UNNUMBERED)).payload)
+    # One bit per parameter, by its index; each word has 32 of them.
+    new_bits = answer.new_0 | answer.new_1 << 32 | answer.new_2 << 64
     return ParameterOrigin(
         source=ParamsSource(answer.source),
         kept=answer.kept,
         dropped=answer.dropped,
-        new=tuple(spec.name for spec in PARAMS if bits >> spec.index & 1),
+        new=tuple(spec.name for spec in PARAMS if new_bits >> spec.index & 1),
     )
 
 
@@ -366,4 +368,4 @@ def controller_name(session: Session, selected: float) -> str:
 
 
 def _ask_row(session: Session, row: int) -> ControllerMessage:
-    return ControllerMessage.unpack(session.request(ControllerReadMessage(0, row & 0xFF)).payload)
+    return ControllerMessage.unpack(session.request(ControllerReadMessage(UNNUMBERED, row & 0xFF)).payload)

@@ -151,22 +151,27 @@ class RestAngles:
         """Return pitch at rest [deg]; None while the short arm swings or drifts."""
         if math.isnan(self.pitch_deg):
             return self.pitch_deg
-        newest_deg = pitch_deg[-_FIRST_LOOK_TICKS:]
-        if self._is_near(newest_deg) and np.ptp(newest_deg) <= _STILL_COUNTS * self.pitch_count_deg:
-            return float(newest_deg[-1])
+        first_look_deg = pitch_deg[-_FIRST_LOOK_TICKS:]
+        if self._is_near(first_look_deg) and self._is_still(first_look_deg):
+            return float(first_look_deg[-1])
         if len(pitch_deg) < _SETTLED_TICKS:
             return None
-        newest_deg = pitch_deg[-_SETTLED_TICKS:]
-        # A short arm that returns slowly, by less than 0.1 degrees per second, is not at rest either.
-        is_still = np.ptp(newest_deg) <= _STILL_COUNTS * self.pitch_count_deg
-        if self._is_near(newest_deg) or is_still:
-            return float(np.mean(newest_deg))
+        # The longer look also notices a short arm that returns slowly, by less than 0.1 degrees per second.
+        long_look_deg = pitch_deg[-_SETTLED_TICKS:]
+        if self._is_near(long_look_deg) or self._is_still(long_look_deg):
+            return float(np.mean(long_look_deg))
         if len(pitch_deg) < _LONGEST_TICKS:
             return None
-        # It swings on, about an angle that is known to a part of the swing only.
-        newest_deg = pitch_deg[-2 * _SETTLED_TICKS :]
-        middle_deg, half_deg = float(np.mean(newest_deg)), 0.5 * float(np.ptp(newest_deg))
-        return middle_deg if abs(middle_deg - self.pitch_deg) > half_deg + MAX_SHIFT_DEG else self.pitch_deg
+        # The arm still swings. Its middle counts as rest only if the whole swing is too far from the earlier
+        # rest.
+        swing_deg = pitch_deg[-2 * _SETTLED_TICKS :]
+        middle_deg, amplitude_deg = float(np.mean(swing_deg)), 0.5 * float(np.ptp(swing_deg))
+        is_shifted = abs(middle_deg - self.pitch_deg) > amplitude_deg + MAX_SHIFT_DEG
+        return middle_deg if is_shifted else self.pitch_deg
+
+    def _is_still(self, pitch_deg: Floats) -> bool:
+        """Return whether pitch changes by no more than the noise of its encoder."""
+        return bool(np.ptp(pitch_deg) <= _STILL_COUNTS * self.pitch_count_deg)
 
     def _is_near(self, pitch_deg: Floats) -> bool:
         return bool(np.max(np.abs(pitch_deg - self.pitch_deg)) <= MAX_SHIFT_DEG)

@@ -27,8 +27,9 @@ LANDING: Final = "landing"
 """Phases around the plans."""
 _OWN: Final = "closed_loop"
 _STREAMED: Final = "streamed"
-# A tenth of an encoder's count, far above the rounding of a setpoint in the log.
-_TOLD_rad: Final = 1.5e-4
+_NO_ERROR_rad: Final = 1.5e-4
+"""Tracking error up to which a setpoint counts as a copy of the angle [rad]: a tenth of an encoder's count,
+far above the rounding of a setpoint in the log."""
 
 
 def flown_rows(flight: Flight) -> Booleans:
@@ -60,14 +61,14 @@ def led_rows(flight: Flight, axis: str) -> Booleans:
     setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
     if setpoint_rad is None:
         return np.zeros(len(flight), np.bool_)
-    apart_rad = np.abs(getattr(flight, f"{axis}_rad") - setpoint_rad)
+    error_rad = np.abs(getattr(flight, f"{axis}_rad") - setpoint_rad)
     for rows_of_other_law in (_rows_in_state(flight, _STREAMED), _rows_of_uploaded_law(flight)):
-        if rows_of_other_law.any() and apart_rad[rows_of_other_law].max() <= _TOLD_rad:
+        if rows_of_other_law.any() and error_rad[rows_of_other_law].max() <= _NO_ERROR_rad:
             rows = rows & ~rows_of_other_law
     return rows
 
 
-def of_its_law(flight: Flight) -> Flight:
+def flight_under_law(flight: Flight) -> Flight:
     """Cut a flight to the rows in which an uploaded law flew; if none flew, to the rows of `flown_rows`."""
     is_flown = _rows_of_uploaded_law(flight)
     if not is_flown.any():

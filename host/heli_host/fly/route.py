@@ -26,12 +26,20 @@ class Number:
 
     least: float  # least, most: Bounds, both included
     most: float
-    nonzero: bool = False  # Whether 0 is refused
-    whole: bool = False  # Whether only whole numbers are taken
+    excludes_least: bool = False  # Whether `least` itself is invalid
+    whole: bool = False  # Whether only whole numbers are valid
+
+    def __contains__(self, value: float) -> bool:
+        return self.least <= value <= self.most and not (self.excludes_least and value == self.least)
+
+    def __str__(self) -> str:
+        if self.excludes_least:
+            return f"more than {self.least:g} and at most {self.most:g}"
+        return f"{self.least:g} to {self.most:g}"
 
 
 ANGLE = Number(-3600.0, 3600.0)
-DURATION = Number(0.0, MAX_SEGMENT_S, nonzero=True)
+DURATION = Number(0.0, MAX_SEGMENT_S, excludes_least=True)
 PAUSE = Number(0.0, MAX_SEGMENT_S)
 RATE = Number(0.1, 1000.0)
 PERIOD = Number(0.2, MAX_SEGMENT_S)
@@ -74,9 +82,8 @@ class PlanTable:
             )
         if not math.isfinite(value):
             self.fail(f"{key} is {value}", "give a finite number")
-        if not spec.least <= value <= spec.most or (spec.nonzero and value == 0):
-            more_than = "more than " if spec.nonzero and spec.least == 0 else ""
-            self.fail(f"{key} is {value:g}", f"give {more_than}{spec.least:g} to {spec.most:g}")
+        if value not in spec:
+            self.fail(f"{key} is {value:g}", f"give {spec}")
         if spec.whole and value != int(value):
             self.fail(f"{key} is {value:g}", "give a whole number")
         return float(value)

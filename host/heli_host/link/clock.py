@@ -13,6 +13,7 @@ import itertools
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from heli_host.declaration import TICK_US
 
@@ -25,7 +26,16 @@ _BINS = 120
 _STEP_S = 0.03
 _STEP_BINS = 4
 
-_Point = tuple[int, float]  # tick, host_s
+_MIN_TICK_S = 1e-9
+"""Shortest tick of a line, a millionth of the real one: faster than any simulation. Arrivals that a busy
+computer reads together have the same host time; a slope of 0 could not convert host times to ticks."""
+
+
+class _Point(NamedTuple):
+    """An arrival of something that the board sent at or after a tick."""
+
+    tick: int
+    host_s: float
 
 
 @dataclass(frozen=True)
@@ -66,10 +76,11 @@ class ClockFit:
 
     def reset(self) -> None:
         """Forget everything, because the board or the simulation's clock has restarted."""
-        self._bins: deque[_Point] = deque(maxlen=_BINS)  # the quickest of each
-        self._hull: list[_Point] = []  # of the bins
-        self._bin_ticks = 0  # their sum
-        self._quickest_in_bin: _Point | None = None
+        # Device time is divided into bins. Of each bin, only its quickest arrival is kept.
+        self._bins: deque[_Point] = deque(maxlen=_BINS)
+        self._hull: list[_Point] = []  # Lower convex hull of `_bins`
+        self._bin_ticks = 0  # Sum of the ticks of `_bins`
+        self._quickest_in_bin: _Point | None = None  # Of the newest bin, which is not complete
         self._delays_s: deque[float] = deque(maxlen=200)
         self._round_trip_s: deque[float] = deque(maxlen=60)
         self._estimate: ClockEstimate | None = None
@@ -79,19 +90,19 @@ class ClockFit:
         """Take the arrival of something that the board sent at or after a tick."""
         quickest = self._quickest_in_bin
         if quickest is None:
-            self._quickest_in_bin, self._fit_is_old = (tick, host_s), True
+            self._quickest_in_bin, self._fit_is_old = _Point(tick, host_s), True
             return
         estimate = self._estimate
         slope_s = estimate.tick_s if estimate is not None else TICK_S
-        if tick // _BIN_TICKS != quickest[0] // _BIN_TICKS:
+        if tick // _BIN_TICKS != quickest.tick // _BIN_TICKS:
             self.estimate()
             self._bins.append(quickest)
             self._forget_before_a_step()
             self._hull = _lower_hull(self._bins)
-            self._bin_ticks = sum(bin_tick for bin_tick, _ in self._bins)
-            self._quickest_in_bin, self._fit_is_old = (tick, host_s), True
-        elif host_s - quickest[1] < (tick - quickest[0]) * slope_s:
-            self._quickest_in_bin = (tick, host_s)
+            self._bin_ticks = sum(point.tick for point in self._bins)
+            self._quickest_in_bin, self._fit_is_old = _Point(tick, host_s), True
+        elif host_s - quickest.host_s < (tick - quickest.tick) * slope_s:
+            self._quickest_in_bin = _Point(tick, host_s)
         if estimate is None:
             self._fit_is_old = True
         else:
@@ -115,23 +126,29 @@ class ClockFit:
         return self._estimate
 
     def _fit_line_below_arrivals(self, newest: _Point) -> ClockEstimate:
-        """Fit the line from device tick to host time, which is below all arrivals.
+        """Fit the line from device tick to host time that lies below all arrivals with the least mean
+        lateness.
 
-        A message can arrive late but not early, so that the earliest arrivals determine the line. Their delay
-        is half of the shortest round trip.
+        The line is moved down by the transit time, which is half of the shortest round trip.
         """
-        (tick, host_s), tick_s = newest, TICK_S
-        if self._estimate is not None:
-            tick_s = self._estimate.tick_s
-        if self._bins and tick - self._bins[0][0] >= _BIN_TICKS // 2:
-            mean_tick = (self._bin_ticks + tick) / (len(self._bins) + 1)
-            edge_start, edge_end = _hull_edge_at(mean_tick, _lower_hull([newest], self._hull))
-            tick_s = max((edge_end[1] - edge_start[1]) / (edge_end[0] - edge_start[0]), 1e-9)
-            tick, host_s = edge_start
+        anchor = newest
+        tick_s = self._estimate.tick_s if self._estimate is not None else TICK_S
+        # Over less than half a bin, the lateness of two arrivals would hide the slope.
+        if self._bins and newest.tick - self._bins[0].tick >= _BIN_TICKS // 2:
+            # Only the line's value at the mean tick counts for the mean lateness: take the hull's edge there.
+            mean_tick = (self._bin_ticks + newest.tick) / (len(self._bins) + 1)
+            anchor, end = _hull_edge_at(mean_tick, _lower_hull([newest], self._hull))
+            tick_s = max((end.host_s - anchor.host_s) / (end.tick - anchor.tick), _MIN_TICK_S)
         round_trip_s = min(self._round_trip_s, default=0.0)
-        delays = sorted(self._delays_s)
-        jitter_s = delays[int(0.95 * len(delays))] if delays else 0.0
-        return ClockEstimate(tick, host_s - round_trip_s / 2.0, tick_s, max(jitter_s, 0.0), round_trip_s)
+        delays_s = sorted(self._delays_s)
+        jitter_s = delays_s[int(0.95 * len(delays_s))] if delays_s else 0.0
+        return ClockEstimate(
+            origin_tick=anchor.tick,
+            origin_s=anchor.host_s - round_trip_s / 2.0,
+            tick_s=tick_s,
+            jitter_s=max(jitter_s, 0.0),
+            round_trip_s=round_trip_s,
+        )
 
     def _forget_before_a_step(self) -> None:
         """Discard arrivals from before a step of the device clock or of the delay, so that the line follows
@@ -158,10 +175,10 @@ def _lower_hull(points: Iterable[_Point], before: Sequence[_Point] = ()) -> list
         while len(hull) >= 2:
             (tick_0, host_0_s), (tick_1, host_1_s) = hull[-2], hull[-1]
             # The last corner stays if the slope to it is smaller than the slope past it to the point.
-            if (host_1_s - host_0_s) * (point[0] - tick_0) < (point[1] - host_0_s) * (tick_1 - tick_0):
+            if (host_1_s - host_0_s) * (point.tick - tick_0) < (point.host_s - host_0_s) * (tick_1 - tick_0):
                 break
             hull.pop()
-        if hull and hull[-1][0] == point[0]:
+        if hull and hull[-1].tick == point.tick:
             hull[-1] = min(hull[-1], point)
         else:
             hull.append(point)
@@ -170,7 +187,7 @@ def _lower_hull(points: Iterable[_Point], before: Sequence[_Point] = ()) -> list
 
 def _hull_edge_at(tick: float, hull: Sequence[_Point]) -> tuple[_Point, _Point]:
     """Return the two neighbouring points of a hull that contain a tick between them."""
-    for left, right in itertools.pairwise(hull):
-        if right[0] >= tick:
-            return left, right
+    for before, after in itertools.pairwise(hull):
+        if after.tick >= tick:
+            return before, after
     return hull[-2], hull[-1]

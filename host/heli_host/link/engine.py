@@ -13,7 +13,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
+from typing import ClassVar, Final, Generic, Protocol, TypeAlias, TypeVar
 
 from heli_host.declaration import (
     LINK_HASH,
@@ -62,6 +62,10 @@ from heli_host.link.telemetry import EMPTY_TICKS, LinkCounters, TelemetryReceive
 # flooded.
 _FIRST_TRY_S = 0.06
 _LONGEST_TRY_S = 0.5
+
+
+UNNUMBERED: Final = 0
+"""Request number of a command that is not sent yet: `CommandSlot.ask` gives it the next number."""
 
 
 class RequestNumbers:
@@ -502,29 +506,35 @@ class Engine:
         return received
 
     def outgoing(self, now_s: float) -> bytes:
-        """Return the frames that are due: a command first, then streamed values, then a sign of life."""
+        """Return the frames that are due: a command first, then streamed values, then a ping.
+
+        Before the board has answered the handshake, only a hello is sent.
+        """
         self.commands.expire(now_s)
         if not self.handshake.is_open:
             hello = self.handshake.due_hello(now_s)
             return b"" if hello is None else self._encode_next_frame(hello, now_s)
-        command_waits = self.commands.waits
         command = self.commands.due(now_s)
         frames_out = b"" if command is None else self._encode_next_frame(command, now_s)
         now = DeviceTime(now_s, self.telemetry.account.last or 0, self.telemetry.speed)
         is_flying = self.telemetry.state in (State.CLOSED_LOOP, State.HOLD)
         for value in self.streams.due(now, flies=is_flying):
             frames_out += self._encode_next_frame(value, now_s)
-        if self._last_sent_s == now_s:
+        if frames_out:
             self._sent_tick = now.tick
-        idle_s = now.since(self._last_sent_s, self._sent_tick)
-        unpinged_s = now.since(self._last_ping_s, self._ping_tick)
-        if not command_waits and (idle_s >= HEARTBEAT_S or unpinged_s >= CLOCK_PING_S):
+        # While a command waits, its repetitions show the board that the host is there.
+        if not self.commands.waits and self._ping_is_due(now):
             self._last_ping_s = now_s
             self._sent_tick = self._ping_tick = now.tick
-            frames_out += self._encode_next_frame(
-                PingMessage(self._numbers.take(), round(now_s * 1e6)), now_s
-            )
+            ping = PingMessage(self._numbers.take(), round(now_s * 1e6))
+            frames_out += self._encode_next_frame(ping, now_s)
         return frames_out
+
+    def _ping_is_due(self, now: DeviceTime) -> bool:
+        """Return whether the board needs a sign of life, or the clock a new round trip."""
+        silence_s = now.since(self._last_sent_s, self._sent_tick)
+        unpinged_s = now.since(self._last_ping_s, self._ping_tick)
+        return silence_s >= HEARTBEAT_S or unpinged_s >= CLOCK_PING_S
 
     def frame_past_lock(self, command: type[StopMessage]) -> bytes:
         """Return the frame of a command that any thread may send without the callers' lock. Nothing changes.

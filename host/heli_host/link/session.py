@@ -40,7 +40,7 @@ from heli_host.declaration import (
 )
 from heli_host.errors import HeliError, LinkError, LinkLost, ParameterError, WaitTimeout
 from heli_host.link.clock import TICK_S, ClockEstimate
-from heli_host.link.engine import Command, Engine, Received, Request
+from heli_host.link.engine import UNNUMBERED, Command, Engine, Received, Request
 from heli_host.link.events import CALLBACK_FAILED, LinkEvent
 from heli_host.link.frames import Frame, no_welcome
 from heli_host.link.telemetry import EMPTY_TICKS, LinkCounters, Ticks
@@ -462,7 +462,7 @@ class Session:
         with self._driver.lock:
             self._stop_latched = True
             self._engine.streams.kept = None
-            self._engine.commands.preempt(StopMessage(0), self.transport.now_s(), COMMAND_TIMEOUT_S)
+            self._engine.commands.preempt(StopMessage(UNNUMBERED), self.transport.now_s(), COMMAND_TIMEOUT_S)
         self._driver.send_due()
         # After the bytes are sent: a pending error of a callback must not delay the stop.
         self._driver.check()
@@ -492,7 +492,7 @@ class Session:
         """Read all parameters of the board."""
         values: list[float] = []
         while len(values) < len(PARAMS):
-            payload = self.request(ParamsReadMessage(0, len(values))).payload
+            payload = self.request(ParamsReadMessage(UNNUMBERED, len(values))).payload
             head = ParamsMessage.unpack(payload)
             size = ParamsMessage.STRUCT.size
             if head.first != len(values) or head.count == 0 or len(payload) != size + 4 * head.count:
@@ -504,7 +504,7 @@ class Session:
 
     def status(self) -> StatusMessage:
         """Read the board's present counters."""
-        return StatusMessage.unpack(self.request(StatusReadMessage(0)).payload)
+        return StatusMessage.unpack(self.request(StatusReadMessage(UNNUMBERED)).payload)
 
     def stream(self, message: SetpointMessage | VoltagesMessage | FollowingMessage) -> None:
         """Send a setpoint, a pair of voltages, or the setpoints that a Python law follows; not answered.

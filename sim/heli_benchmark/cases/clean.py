@@ -6,6 +6,7 @@ import argparse
 import fnmatch
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,6 +18,33 @@ from heli_benchmark.effects.listed import LISTED, MORE_LISTED, OTHER_FORMS, Make
 from heli_benchmark.effects.unlisted import MORE_OFF_LIST, OFF_LIST
 from heli_benchmark.flights import flown, plan
 from heli_benchmark.plant import HiddenEffect
+
+
+class Stream(IntEnum):
+    """Streams of random numbers of one seed: a case changes in one respect without a change in the others.
+
+    The numbers are those of published results. A new subject takes an unused number.
+    """
+
+    SIZE = 0
+    RIG = 1
+    LISTED_EFFECT = 2
+    UNLISTED_EFFECT = 3
+    FLOWN_PLAN = 4
+    EFFECT_IN_FLIGHT = 5
+    DISTURBED_CASE = 6
+    DISTURBANCES = 7
+    ROUTE = 8
+    SECOND_SLIP = 11
+    CALM_CASE = 12
+    NOISE_CASE = 13
+    NOISE = 14
+    PLAY_CASE = 15
+
+    def rng(self, seed: int, *numbers: int) -> np.random.Generator:
+        """Return the random numbers of a seed, such as those of its flight of a number."""
+        return np.random.default_rng([seed, self, *numbers])
+
 
 TRAIN_S, VALIDATE_S = 60.0, 40.0
 _NOTHING = 12
@@ -56,7 +84,7 @@ class Case:
 
     def rig(self) -> Rig:
         """Draw the true rig: thrust within 20 %, friction half to double, masses and lengths within 1 %."""
-        rng = np.random.default_rng([self.seed, 1])
+        rng = Stream.RIG.rng(self.seed)
         rig = load_rig("makki2024")
         numbers = {"thrust_gain": rng.uniform(0.8, 1.2)}
         for axis in ("elevation", "pitch", "travel"):
@@ -76,9 +104,13 @@ class Case:
         ):
             # Listed and unlisted effects have separate sequences of seeds.
             is_listed = number < len(self.effects)
-            stream = [2, number] if is_listed else [3, number - len(self.effects)]
-            effect = maker(size, np.random.default_rng([self.seed, *stream]))
-            effect.flight_rng = np.random.default_rng([self.seed, 5, flight, number])
+            rng = (
+                Stream.LISTED_EFFECT.rng(self.seed, number)
+                if is_listed
+                else Stream.UNLISTED_EFFECT.rng(self.seed, number - len(self.effects))
+            )
+            effect = maker(size, rng)
+            effect.flight_rng = Stream.EFFECT_IN_FLIGHT.rng(self.seed, flight, number)
             effects.append(effect)
         return effects
 
@@ -95,7 +127,7 @@ class Case:
             if path.exists():
                 continue
             path.parent.mkdir(parents=True, exist_ok=True)
-            rng = np.random.default_rng([self.seed, 4, number])
+            rng = Stream.FLOWN_PLAN.rng(self.seed, number)
             flight_plan = plan(f"{self.seed}", duration_s, rng)
             # Renamed when complete, so that an interrupted run leaves no partial flight.
             unfinished = path.with_name("unfinished-" + path.name)
@@ -156,7 +188,7 @@ def _cases_by_kind() -> Iterator[Case]:
 
 def _size_factor(seed: int) -> float:
     """Draw a factor by which the size of an effect differs from the small or large one in its list."""
-    return float(np.random.default_rng([seed, 0]).uniform(0.8, 1.3))
+    return float(Stream.SIZE.rng(seed).uniform(0.8, 1.3))
 
 
 AnyCase = TypeVar("AnyCase", bound=Case)

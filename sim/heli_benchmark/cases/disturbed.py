@@ -12,7 +12,7 @@ from heli_host.data.flight import Flight
 from heli_host.data.log.table import write_csv
 from heli_sim.rig import Rig, load_rig
 
-from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, Case
+from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, Case, Stream
 from heli_benchmark.effects.disturbances import (
     CORRELATION_TIMES_s,
     DisturbanceModel,
@@ -40,7 +40,7 @@ class DisturbedCase(Case):
 
     def rig(self) -> Rig:
         """Draw the true rig: thrust within 15 %, dead zone 10 %, friction half to double, masses 0.7 %."""
-        rng = np.random.default_rng([self.seed, 1])
+        rng = Stream.RIG.rng(self.seed)
         rig = load_rig(self.rig_name)
         values = {"thrust_gain": rig["thrust_gain"].value * rng.uniform(0.85, 1.15)}
         values["dead_zone"] = rig["dead_zone"].value * rng.uniform(0.9, 1.1)
@@ -60,7 +60,7 @@ class DisturbedCase(Case):
 
     def hidden(self, flight: int = 0) -> list[HiddenEffect]:
         """Create the hidden effects, and the disturbances of this flight last."""
-        disturbances = DisturbanceTorques(self.disturbances, np.random.default_rng([self.seed, 7, flight]))
+        disturbances = DisturbanceTorques(self.disturbances, Stream.DISTURBANCES.rng(self.seed, flight))
         return [*super().hidden(flight), disturbances]
 
     def fly(self, flight: int, duration_s: float) -> tuple[Flight, TrueTrajectory]:
@@ -69,7 +69,7 @@ class DisturbedCase(Case):
 
     def route(self, flight: int, duration_s: float) -> Route:
         """Draw the route of a flight; the validation flight has another one."""
-        rng = np.random.default_rng([self.seed, 8])
+        rng = Stream.ROUTE.rng(self.seed)
         travel_deg, elevation_deg = rng.uniform(40.0, 75.0, 2), rng.uniform(10.0, 15.0, 2)
         if self.gentle:
             travel_deg, elevation_deg = 0.45 * travel_deg, 0.35 * elevation_deg
@@ -119,7 +119,7 @@ def _fly_and_record_truth(
         case.route(flight, duration_s),
         controller=case.controller,
         rate_Hz=case.rate_Hz,
-        rng=np.random.default_rng([case.seed, 4, flight]),
+        rng=Stream.FLOWN_PLAN.rng(case.seed, flight),
     )
     return log, recorder.trajectory()
 
@@ -239,7 +239,7 @@ def _cases_by_kind() -> Iterator[DisturbedCase]:
 
 def _draw_case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]) -> DisturbedCase:
     """Draw rig, flight and disturbances of a case, and the sizes that suit them."""
-    rng = np.random.default_rng([seed, 6])
+    rng = Stream.DISTURBED_CASE.rng(seed)
     strength = int(rng.integers(3))
     gusts_Nm, correlation_time_s = STRENGTHS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))]
     drifts, on_quanser = rng.random() < _DRIFTING, rng.random() < _ON_QUANSER

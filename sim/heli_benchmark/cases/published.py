@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from typing_extensions import override
 
+from heli_benchmark.cases.clean import Stream
 from heli_benchmark.cases.disturbed import (
     LAG,
     MAKERS,
@@ -82,7 +83,7 @@ class PublishedCase(DisturbedCase):
     @override
     def route(self, flight: int, duration_s: float) -> Route:
         """Draw the route of a flight; each flight has another one."""
-        rng = np.random.default_rng([self.seed, 8, flight, self.attempt])
+        rng = Stream.ROUTE.rng(self.seed, flight, self.attempt)
         weaker = 0.45 if self.gentle else 1.0
         travel_deg, elevation_deg = rng.uniform(40.0, 75.0), rng.uniform(10.0, 15.0)
         # The rotors of the Quanser rig give a quarter of the thrust per volt.

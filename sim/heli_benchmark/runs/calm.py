@@ -10,8 +10,7 @@ import argparse
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-
+from heli_benchmark.cases.clean import Stream
 from heli_benchmark.cases.disturbed import PAPER_RIG, DisturbedCase, RATES_Hz
 from heli_benchmark.effects.listed import LISTED
 from heli_benchmark.flights import CONTROLLERS
@@ -35,7 +34,7 @@ class CalmCase(DisturbedCase):
 
 def calm_case(seed: int) -> CalmCase:
     """Draw the case of a `seed`."""
-    rng = np.random.default_rng([seed, 12])
+    rng = Stream.CALM_CASE.rng(seed)
     effects = CALM_EFFECTS[seed % len(CALM_EFFECTS)]
     return CalmCase(
         name=f"calm-{'+'.join(f'{id_}-{size:g}' for id_, size in effects) or 'nothing'}-{seed}",

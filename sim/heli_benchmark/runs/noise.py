@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
 from typing_extensions import override
 
+from heli_benchmark.cases.clean import Stream
 from heli_benchmark.cases.disturbed import LAG, MAKERS, PAPER_RIG, SIZES, DisturbedCase, RATES_Hz
 from heli_benchmark.effects.disturbances import NOISE
 from heli_benchmark.flights import CONTROLLERS
@@ -35,12 +35,12 @@ class NoiseCase(DisturbedCase):
 
     @override
     def hidden(self, flight: int = 0) -> list[HiddenEffect]:
-        return [*super().hidden(flight), *NOISE[self.kind](np.random.default_rng([self.seed, 14, flight]))]
+        return [*super().hidden(flight), *NOISE[self.kind](Stream.NOISE.rng(self.seed, flight))]
 
 
 def noise_case(seed: int) -> NoiseCase:
     """Draw the case of a `seed`."""
-    rng = np.random.default_rng([seed, 13])
+    rng = Stream.NOISE_CASE.rng(seed)
     kind, causes = NOISE_KINDS[seed % len(NOISE_KINDS)], max(0, seed // len(NOISE_KINDS) % 4 - 1)
     names: tuple[str, ...] = ()
     if causes == 1:

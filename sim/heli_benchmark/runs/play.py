@@ -12,8 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
+from heli_benchmark.cases.clean import Stream
 from heli_benchmark.cases.disturbed import MAKERS, PAPER_RIG, DisturbedCase, RATES_Hz
 from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.flights import CONTROLLERS
@@ -23,7 +22,7 @@ from heli_benchmark.runs.shocks import UNDISTURBED
 PLAY_AXES: Final = ("elevation", "pitch", "travel")
 PLAYS_deg: Final = (0.5, 1.5, 3.0)
 _GUSTS_Nm: Final = (UNDISTURBED.gusts_Nm, STRENGTHS_Nm[1], STRENGTHS_Nm[2])
-"""No, moderate and strong disturbances."""
+_STRENGTH_NAMES: Final = ("no", "moderate", "strong")
 
 
 @dataclass(frozen=True)
@@ -32,22 +31,23 @@ class PlayCase(DisturbedCase):
 
 
 def play_case(seed: int) -> PlayCase:
-    """Draw the case of a `seed`."""
-    rng = np.random.default_rng([seed, 15])
-    axis, size = seed % 3, seed // 3 % 3
-    strength = (axis + size + seed // 9) % 3
-    name = f"backlash.{PLAY_AXES[axis]}"
+    """Draw the case of a `seed`, which counts through axes, then sizes; the strength is a Latin square."""
+    rng = Stream.PLAY_CASE.rng(seed)
+    axis_index, size_index = seed % 3, seed // 3 % 3
+    strength_index = (axis_index + size_index + seed // 9) % 3
+    axis, play_deg, strength = PLAY_AXES[axis_index], PLAYS_deg[size_index], _STRENGTH_NAMES[strength_index]
+    effect = f"backlash.{axis}"
     return PlayCase(
-        name=f"play-{PLAY_AXES[axis]}-{PLAYS_deg[size]:g}-{('no', 'moderate', 'strong')[strength]}-{seed}",
-        effects=((name, PLAYS_deg[size] * float(rng.uniform(0.85, 1.15))),),
+        name=f"play-{axis}-{play_deg:g}-{strength}-{seed}",
+        effects=((effect, play_deg * float(rng.uniform(0.85, 1.15))),),
         unlisted=(),
         seed=seed,
-        makers=(MAKERS[name],),
+        makers=(MAKERS[effect],),
         rig_name=PAPER_RIG,
         rate_Hz=RATES_Hz[int(rng.integers(len(RATES_Hz)))],
         gentle=False,
         controller=CONTROLLERS[int(rng.integers(len(CONTROLLERS)))],
-        disturbances=DisturbanceModel(_GUSTS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))]),
+        disturbances=DisturbanceModel(_GUSTS_Nm[strength_index], CORRELATION_TIMES_s[int(rng.integers(3))]),
     )
 
 

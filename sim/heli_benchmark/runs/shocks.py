@@ -21,6 +21,7 @@ from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 from typing_extensions import override
 
+from heli_benchmark.cases.clean import Stream
 from heli_benchmark.cases.disturbed import PAPER_RIG, DisturbedCase, RATES_Hz
 from heli_benchmark.effects.disturbances import CORRELATION_TIMES_s, DisturbanceModel, STRENGTHS_Nm
 from heli_benchmark.flights import CONTROLLERS
@@ -59,7 +60,7 @@ class ShockCase(DisturbedCase):
     @property
     def moments_s(self) -> tuple[float, float]:
         """Moment of the slip in the first and in the second flight; infinite if it does not slip there."""
-        second_s = float(np.random.default_rng([self.seed, 11]).uniform(12.0, 26.0))
+        second_s = float(Stream.SECOND_SLIP.rng(self.seed).uniform(12.0, 26.0))
         return {"fit": (30.0, np.inf), "both": (30.0, second_s), "second": (np.inf, second_s)}[self.layout]
 
     @override

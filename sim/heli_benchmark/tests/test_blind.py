@@ -20,7 +20,7 @@ from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import write_csv
 
 import heli_benchmark
-from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, clean_cases
+from heli_benchmark.cases.clean import TRAIN_S, VALIDATE_S, Stream, clean_cases
 from heli_benchmark.flights import flown, plan
 from tests.identify import made
 from tests.running.kept import KEPT
@@ -95,7 +95,7 @@ def test_a_flight_whose_arm_never_reaches_the_table_is_complete() -> None:
     flight = flown(
         case.rig(),
         case.hidden(),
-        plan(str(case.seed), 32.0, np.random.default_rng([case.seed, 4, 0])),
+        plan(str(case.seed), 32.0, Stream.FLOWN_PLAN.rng(case.seed, 0)),
         case.seed,
     )
     assert any("landing" in event.text and event.name == "state" for event in flight.events)

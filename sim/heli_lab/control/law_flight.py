@@ -15,7 +15,7 @@ from heli_host.board.interrupts import was_interrupted
 from heli_host.board.law_program import LawProgram
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
-from heli_host.data.response import effort_V, of_its_law, responses
+from heli_host.data.response import effort_V, flight_under_law, responses
 from heli_host.errors import FlightDataError
 from heli_host.fly.pilot import LAW_TAKEN_OVER
 from heli_host.fly.plan import Plan
@@ -28,30 +28,33 @@ def fly_law(
 ) -> tuple[FlownFlight, LawTrial]:
     """Fly a plan with a law. Returns `flown`, `trial`.
 
-    The caller must write the files of the flight, and then call `FlownFlight.end`, which raises if the
-    board's own law took over.
+    The caller must write the files of the flight, and then call `FlownFlight.raise_if_not_completed`, which
+    raises if the board's own law took over.
     """
     flown, taken_over = flown_with(program, options, plan, typed)
-    if not (flown.summary.completed or taken_over):
+    if not taken_over and not flown.summary.completed:
+        # No trial can be measured, so the caller cannot write these files.
         flown.report()
         flown.write()
-        # This raises FlightAborted.
-        flown.end()
+        flown.raise_if_not_completed()
     return flown, LawTrial.of_log(flown.log, taken_over)
 
 
 def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) -> LawTrial:
-    """Fly a plan with a law, and return the result only: no output is printed, and no file is kept."""
+    """Fly a plan with a law, and return the result only: no output is printed, and no file is kept.
+
+    A takeover by the board's own law is a result. Any other end before the plan's is an error.
+    """
     quiet_setting = QUIET.set(True)
     try:
         with tempfile.TemporaryDirectory() as folder:
             trial_options = replace(options, log=Path(folder) / "trial.mcap")
             flown, taken_over = flown_with(program, trial_options, plan)
             if was_interrupted(flown.summary.outcome):
-                # The caller flies more than one flight, and would go on after the error of one.
+                # After an error, a caller goes on with its next flight; Ctrl-C must end all of them.
                 raise KeyboardInterrupt
             if not taken_over:
-                flown.end()
+                flown.raise_if_not_completed()
             return LawTrial.of_log(flown.log, taken_over)
     finally:
         QUIET.reset(quiet_setting)
@@ -60,8 +63,9 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
 def flown_with(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, str]:
-    """Fly a plan with a law, and return the flight, whether it was completed or not. Returns `flown`,
-    `taken_over`.
+    """Fly a plan with a law, and return the flight, whether it was completed or not.
+
+    Returns `flown`, and `taken_over`: why the board's own law took over; empty if it did not.
     """
     from heli_host.board.law_flight import engage
 
@@ -71,8 +75,10 @@ def flown_with(
         plan_names=[typed],
         on_taken_off=(lambda heli: engage(heli, program)) if program is not None else None,
     )
+    # An outcome is such as "law taken over: jump (3.1 V)".
     outcome, _, reason = flown.summary.outcome.partition(": ")
-    return flown, reason.partition(" ")[0] if outcome == LAW_TAKEN_OVER else ""
+    taken_over = reason.partition(" ")[0] if outcome == LAW_TAKEN_OVER else ""
+    return flown, taken_over
 
 
 STEP_deg: Final = 10.0
@@ -160,6 +166,6 @@ def flight_of_law(path: Path) -> Flight:
             f"{path} contains no flight with setpoints", "give a log of a flight with a control law"
         )
     try:
-        return of_its_law(flight)
+        return flight_under_law(flight)
     except FlightDataError as error:
         raise FlightDataError(f"{path}: {error.cause}", error.remedy) from error

@@ -38,7 +38,7 @@ from heli_lab.explain.wording import channel_in_words, display_unit, quantity_in
 from heli_lab.fit.estimator import Estimate, estimate_disturbances
 from heli_lab.fit.flight_model import RigParameters, model_along, model_functions
 from heli_lab.fit.grey_box import DisturbanceModel
-from heli_lab.fit.innovations import InnovationsModel, smoothed_disturbances
+from heli_lab.fit.innovations import InnovationsModel, SmoothedDisturbances, smoothed_disturbances
 from heli_lab.fit.linearised_flight import LinearisedFlight
 
 
@@ -258,14 +258,6 @@ def _spline_coefficients(screening: Screening, candidate: Candidate) -> _SplineC
     return _SplineCoefficients(covariance @ score, covariance)
 
 
-class _SmoothedTorque(NamedTuple):
-    """Smoothed disturbances of all flights: times (k,), torques and standard errors (k, 3) [N m]."""
-
-    t_s: Floats
-    torque_Nm: Floats
-    std_Nm: Floats
-
-
 class _DrawnQuantity(NamedTuple):
     """Quantity over which a torque is drawn, in words: values (k,) in its display unit."""
 
@@ -309,9 +301,9 @@ def missing_torque(
     contribution_Nm = np.concatenate(
         [blocks.mean(torque_Nm) for blocks, torque_Nm in zip(blocks_by_flight, torques_Nm, strict=True)]
     )
-    missing = _smoothed_torque(reduced_filtered, reduced.disturbances)
-    remaining = _smoothed_torque(filtered, estimate.disturbances)
-    axis = _most_explained_axis(np.concatenate(torques_Nm), missing.torque_Nm, contribution_Nm)
+    missing = _smoothed_torques(reduced_filtered, reduced.disturbances)
+    remaining = _smoothed_torques(filtered, estimate.disturbances)
+    axis = _most_explained_axis(np.concatenate(torques_Nm), missing.values, contribution_Nm)
     quantity = _drawn_quantity(filtered.linearised_flights, blocks_by_flight, contribution_Nm[:, axis], cause)
     if quantity is None:
         quantity = _DrawnQuantity(TIME, "s", missing.t_s)
@@ -324,18 +316,17 @@ def missing_torque(
         on=quantity.name,
         on_unit=quantity.unit,
         quantity=quantity.values,
-        missing=factor * _without_mean(missing.torque_Nm[:, axis]),
-        std=factor * missing.std_Nm[:, axis],
-        remaining=factor * _without_mean(remaining.torque_Nm[:, axis]),
+        missing=factor * _without_mean(missing.values[:, axis]),
+        std=factor * missing.std[:, axis],
+        remaining=factor * _without_mean(remaining.values[:, axis]),
         contribution=factor * _without_mean(contribution_Nm[:, axis]),
     )
 
 
-def _smoothed_torque(filtered: InnovationsModel, disturbances: DisturbanceModel) -> _SmoothedTorque:
-    """Estimate the disturbance torques about the three axes by a fixed-interval smoother."""
+def _smoothed_torques(filtered: InnovationsModel, disturbances: DisturbanceModel) -> SmoothedDisturbances:
+    """Estimate the disturbance torques about the three axes, all flights one after the other."""
     by_flight = smoothed_disturbances(filtered, disturbances)
-    t_s, torque_Nm, std_Nm = (np.concatenate(values) for values in zip(*by_flight, strict=True))
-    return _SmoothedTorque(t_s, torque_Nm, std_Nm)
+    return SmoothedDisturbances(*(np.concatenate(arrays) for arrays in zip(*by_flight, strict=True)))
 
 
 def _accelerations_rad_s2(linear: LinearisedFlight) -> Floats:

@@ -225,10 +225,10 @@ def is_neutral(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str,
     )
 
 
-_ABSENT_PRIOR: Final = Prior(1.0, 0.03, 0.0, 1.0)
+_ABSENT_PRIOR: Final = Prior(mean=1.0, std=0.03, low=0.0, high=1.0)
 """Prior of the share of a term that is absent: all of it. With a wider prior, a share of the term would
 replace a parameter that is merely wrong."""
-_SCORE_PRIOR: Final = Prior(0.0, 1.0, 0.0, 1.0)
+_SCORE_PRIOR: Final = Prior(mean=0.0, std=1.0, low=0.0, high=1.0)
 _START_SHARE: Final = 0.99
 """Just inside the bound of that prior."""
 

@@ -97,7 +97,7 @@ def free_run(
         parameters |= fit.params
     # Equal bounds fix the constants: with the same free parameters the compiled kernel is reused.
     fixed_priors = {
-        name: Prior(parameters[name], prior.std, parameters[name], parameters[name])
+        name: Prior(mean=parameters[name], std=prior.std, low=parameters[name], high=parameters[name])
         for name, prior in priors.items()
     }
     problem = windows_problem(model, rig, parameters, [prediction], fixed_priors, threads)

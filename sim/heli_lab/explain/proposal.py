@@ -87,13 +87,13 @@ def _channel_sum(equation: Equation, channel: str, notation: str, texts: Mapping
         for j, factor in enumerate(term.term.factors):
             symbols = {inner: texts[name] for inner, name in equation.inner_names(i, j).items()}
             factors.append(factor.formatted(notation, symbols))
-        products.append(times_sign.join((texts[equation.coefficient(i)], *factors)))
+        products.append(times_sign.join((texts[equation.coefficient_name(i)], *factors)))
     return " + ".join(products).replace("+ -", "- ")
 
 
 def _parameter_names(equation: Equation) -> list[str]:
     """Return the names of all coefficients, then those of all inner parameters."""
-    return [*equation.coefficients, *(inner.name for inner in equation.inner_parameters())]
+    return [*equation.coefficient_names, *(inner.name for inner in equation.inner_parameters())]
 
 
 def _number_latex(value: float) -> str:
@@ -142,7 +142,7 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
             name,
             *numbers[name],
             effect.priors.get(f"{effect.prefix}_{name}"),
-            is_coefficient=name in equation.coefficients,
+            is_coefficient=name in equation.coefficient_names,
         )
         for name in _parameter_names(equation)
     )
@@ -266,7 +266,7 @@ def _sum_code(equation: Equation, channel: str) -> str:
 
 def _term_code(equation: Equation, i: int, term: EquationTerm) -> str:
     """Return the Python code of term `i`: the product of its coefficient and factors."""
-    factors = [f'self.value(at, "{equation.coefficient(i)}")']
+    factors = [f'self.value(at, "{equation.coefficient_name(i)}")']
     for j, factor in enumerate(term.term.factors):
         texts = {
             inner_name: f'self.value(at, "{name}")' for inner_name, name in equation.inner_names(i, j).items()
@@ -388,9 +388,8 @@ def term_trace(discovery: Discovery) -> TermTrace:
     torque_Nm = signals.linearised_flights[0].disturbance_for(change_rad_s2)
     axis = int(np.argmax(torque_Nm.std(axis=0)))
     # The smoother has one row per measurement of the filter, the equation one per step.
-    t_s, missing_Nm, std_Nm = smoothed_disturbances(
-        without_equation.filtered(), without_equation.disturbances
-    )[0]
+    missing = smoothed_disturbances(without_equation.filtered(), without_equation.disturbances)[0]
+    t_s = missing.t_s
     term_Nm = np.interp(t_s, step_s, torque_Nm[:, axis])
     quantity = discovery.equation.terms[0].term.quantities[-1]
     return TermTrace(
@@ -398,8 +397,8 @@ def term_trace(discovery: Discovery) -> TermTrace:
         axis=AXES[axis],
         t_s=t_s,
         term_Nm=term_Nm - term_Nm.mean(),
-        missing_Nm=missing_Nm[:, axis] - missing_Nm[:, axis].mean(),
-        std_Nm=std_Nm[:, axis],
+        missing_Nm=missing.values[:, axis] - missing.values[:, axis].mean(),
+        std_Nm=missing.std[:, axis],
         on=quantity,
         unit=str(SYMBOLS[quantity].unit),
         value=np.interp(t_s, step_s, _rotor_mean(signals.quantity(0, quantity))),
@@ -446,5 +445,5 @@ def _channel_sum_along(discovery: Discovery, signals: TermSignals, index: int, c
     for i, term in enumerate(discovery.equation.terms):
         if term.channel == channel:
             signal = signals.values(index, discovery.with_estimated_parameters(i))
-            total = total + values[discovery.equation.coefficient(i)].value * signal
+            total = total + values[discovery.equation.coefficient_name(i)].value * signal
     return np.asarray(total - total.mean(axis=0), float)

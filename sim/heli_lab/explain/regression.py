@@ -212,7 +212,7 @@ class EquationRefits:
             if name in effect.values and name not in effect.priors
         }
         effect = replace(effect, values={**effect.values, **fixed_values})
-        linear_names = tuple(f"{effect.prefix}_{name}" for name in equation.coefficients)
+        linear_names = tuple(f"{effect.prefix}_{name}" for name in equation.coefficient_names)
         held_text = "".join(f" [{name}={start[name]:g}]" for name in sorted(held))
         key = f"equation:{equation.key}{held_text}"
         candidate = Candidate(key, effect, linear_names)
@@ -229,7 +229,7 @@ class EquationRefits:
         start = current.values if current else {}
         first_new = len(equation.terms) - len(scored.group.terms)
         for i, value in enumerate(scored.coefficients):
-            start[equation.coefficient(first_new + i)] = float(value)
+            start[equation.coefficient_name(first_new + i)] = float(value)
         # Disturbances of the base would explain the torque of the current terms: start from those that remain
         # with these terms.
         warm_start = current.hypothesis if current else self.base
@@ -244,7 +244,7 @@ class EquationRefits:
         They follow from the root mean square of its terms in `signals`.
         """
         prior_std = {}
-        for name, term in zip(equation.coefficients, equation.terms, strict=True):
+        for name, term in zip(equation.coefficient_names, equation.terms, strict=True):
             values = np.concatenate([signals.values(i, term) for i in range(len(signals.linearised_flights))])
             prior_std[name] = term_coefficient_std(term, max(float(np.sqrt(np.mean(values**2))), 1e-9))
         return prior_std
@@ -258,7 +258,7 @@ class EquationRefits:
         """
         best = self.with_whole_periods(best, signals)
         while len(best.equation.terms) > 1:
-            coefficients = [best.estimates[name] for name in best.equation.coefficients]
+            coefficients = [best.estimates[name] for name in best.equation.coefficient_names]
             t_ratios = [abs(value) / std for value, std in coefficients]
             weakest = t_ratios.index(min(t_ratios))
             value, std = coefficients[weakest]
@@ -344,7 +344,7 @@ def _equation_without_term(refitted: RefittedEquation, number: int) -> _Equation
     start, held = dict[str, float](), set[str]()
     for i, term in enumerate(equation.terms):
         i_before = i if i < number else i + 1
-        start[equation.coefficient(i)] = old_values[longer.coefficient(i_before)]
+        start[equation.coefficient_name(i)] = old_values[longer.coefficient_name(i_before)]
         for j in range(len(term.term.factors)):
             new_names = equation.inner_names(i, j)
             for inner_name, old_name in longer.inner_names(i_before, j).items():

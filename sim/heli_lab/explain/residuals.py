@@ -736,14 +736,18 @@ def adjusted_p_values(p_values: Floats) -> Floats:
 def _plane_trajectories(
     screening: Screening, estimate: Estimate, axis: str, x: str, y: str
 ) -> tuple[PlaneTrajectory, ...]:
-    """Return the flights in the plane of two quantities, with the missing torque about an axis."""
-    smoothed = smoothed_disturbances(screening.filtered, estimate.disturbances)
+    """Return each flight in the plane of the quantities `x` and `y`, with the missing torque about `axis`."""
+    flights = screening.filtered.linearised_flights
+    missing = smoothed_disturbances(screening.filtered, estimate.disturbances)
     trajectories = []
-    for linear, (_, torques_Nm, _) in zip(screening.filtered.linearised_flights, smoothed, strict=True):
-        rows = np.concatenate([blocks.rows for blocks in linear.blocks])
-        quantities = quantity_values(linear.model.source, linear.trajectory)
-        torque_Nm = torques_Nm[:, AXES.index(axis)]
+    for flight, missing_torques in zip(flights, missing, strict=True):
+        # The smoother has torques only at the rows that the filter compared with measurements.
+        rows = np.concatenate([blocks.rows for blocks in flight.blocks])
+        quantities = quantity_values(flight.model.source, flight.trajectory)
+        torque_Nm = missing_torques.values[:, AXES.index(axis)]
         trajectories.append(
-            PlaneTrajectory(quantities[x][rows], quantities[y][rows], torque_Nm - torque_Nm.mean())
+            PlaneTrajectory(
+                x=quantities[x][rows], y=quantities[y][rows], torque_Nm=torque_Nm - torque_Nm.mean()
+            )
         )
     return tuple(trajectories)

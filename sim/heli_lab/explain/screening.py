@@ -45,6 +45,7 @@ from heli_lab.fit.innovations import (
     FlightErrors,
     InnovationsModel,
     ModelErrors,
+    SmoothedDisturbances,
     auxiliary_residuals,
     smoothed_disturbances,
 )
@@ -183,10 +184,9 @@ class EffectGrids:
         return candidates
 
     @cached_property
-    def _smoothed(self) -> list[tuple[Floats, Floats]]:
-        """Times, (m,), and smoothed disturbance torques at these times, (m, 3), of each flight."""
-        smoothed = smoothed_disturbances(self.filtered, self.disturbances)
-        return [(t_s, torque_Nm) for t_s, torque_Nm, _ in smoothed]
+    def _smoothed(self) -> list[SmoothedDisturbances]:
+        """Smoothed disturbance torques of each flight."""
+        return smoothed_disturbances(self.filtered, self.disturbances)
 
     @cached_property
     def _event_times(self) -> list[_EventTimes]:
@@ -196,7 +196,7 @@ class EffectGrids:
         be most significant, by its auxiliary residual (de Jong and Penzer 1998).
         """
         event_times = []
-        for flight, (t_s, torque_Nm), residual in zip(
+        for flight, (t_s, torque_Nm, _), residual in zip(
             self.filtered.linearised_flights, self._smoothed, self._auxiliary_residuals, strict=True
         ):
             level_s, _ = residual.largest_level()

@@ -343,7 +343,7 @@ class TermSignals:
             if channel not in self._extended:
                 equation = Equation((EquationTerm(channel, Term(())),))
                 effect = equation_effect(
-                    equation, dict.fromkeys(equation.coefficients, 1.0), name="unit_term"
+                    equation, dict.fromkeys(equation.coefficient_names, 1.0), name="unit_term"
                 )
                 self._extended[channel] = ExtendedModel(linear.model.source, effect, tuple(effect.priors))
             extended_model = self._extended[channel]

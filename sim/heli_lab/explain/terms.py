@@ -6,6 +6,7 @@ and for a simulator (Python). All notations follow from one table of functions a
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -371,18 +372,19 @@ class Equation:
         """The equation as text, with its inner parameters, without its coefficients."""
         return "; ".join(term.key for term in self.terms)
 
-    def coefficient(self, number: int) -> str:
-        """Name of the coefficient of term `number`, from 0, without the effect's prefix:
-        ``c1_Nm_per_rad``.
+    def coefficient_name(self, number: int) -> str:
+        """Return the name of the coefficient of term `number`, counted from 0, such as ``c1_Nm_per_rad``.
+
+        A model prefixes it with the name of the effect.
         """
         unit = str(self.terms[number].coefficient_unit)
         unit_suffix = unit.replace(" ", "").replace("/", "_per_").removeprefix("1_")
         return f"c{number + 1}" + ("" if unit == "1" else f"_{unit_suffix}")
 
     @property
-    def coefficients(self) -> tuple[str, ...]:
+    def coefficient_names(self) -> tuple[str, ...]:
         """Names of all coefficients, in the order of the terms."""
-        return tuple(self.coefficient(i) for i in range(len(self.terms)))
+        return tuple(self.coefficient_name(i) for i in range(len(self.terms)))
 
     @property
     def lagged_factors(self) -> list[tuple[int, int, Factor]]:
@@ -454,17 +456,12 @@ class EquationEffect(Effect):
         return hash((self.name, self.equation, frozenset(self.values.items())))
 
     def _channel_values(self, at: Operands, kind: str) -> Iterator[tuple[str, ca.SX]]:
-        """Yield channel and value of each term, coefficient included.
-
-        Only terms on channels of a kind such as ``torque`` are evaluated.
-        """
+        """Yield channel and value of each term on a channel of a kind, such as ``torque``."""
         for i, term in enumerate(self.equation.terms):
-            if not term.channel.startswith(kind):
-                continue
-            value = self.value(at, self.equation.coefficient(i))
-            for j, factor in enumerate(term.term.factors):
-                value = value * self._factor_value(at, i, j, factor)
-            yield term.channel, value
+            if term.channel.startswith(kind):
+                coefficient = self.value(at, self.equation.coefficient_name(i))
+                factors = [self._factor_value(at, i, j, factor) for j, factor in enumerate(term.term.factors)]
+                yield term.channel, math.prod(factors, start=coefficient)
 
     def _factor_value(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
         """Return the value of factor `j` of term `i`, shape (1, 1), or (2, 1) if each rotor has its own."""
@@ -532,7 +529,7 @@ def equation_effect(
     """Make the effect of an equation with all coefficients at 0."""
     prefix = name.replace(".", "_")
     values, priors, parameters = dict[str, float](), dict[str, Prior](), []
-    for coefficient, term in zip(equation.coefficients, equation.terms, strict=True):
+    for coefficient, term in zip(equation.coefficient_names, equation.terms, strict=True):
         full_name = f"{prefix}_{coefficient}"
         parameters.append(Quantity(full_name, str(term.coefficient_unit), f"coefficient of {term.term.key}"))
         values[full_name], priors[full_name] = 0.0, Prior(0.0, prior_std[coefficient])
@@ -575,9 +572,9 @@ multiples of the values in the grammar, and let a refit reach the neighbouring v
 def inner_prior(factor: Factor, inner_name: str, value: float) -> Prior:
     """Return the prior of the parameter `inner_name` of a `factor`, about its `value` in the grammar."""
     if inner_name == "s":
-        return Prior(value, value, _MIN_s, _MAX_s)
+        return Prior(mean=value, std=value, low=_MIN_s, high=_MAX_s)
     if inner_name == "place":
         width = dict(factor.parameters)["width"]
-        return Prior(value, width, value - 4.0 * width, value + 4.0 * width)
+        return Prior(mean=value, std=width, low=value - 4.0 * width, high=value + 4.0 * width)
     std, low, high = _INNER_PRIOR[inner_name]
-    return Prior(value, std * value, low * value, high * value)
+    return Prior(mean=value, std=std * value, low=low * value, high=high * value)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -249,6 +249,13 @@ def refuse_unexplained(flight: Trace) -> None:
         )
 
 
+class _ValueAndStd(NamedTuple):
+    """An estimate and its standard error."""
+
+    value: float
+    std: float
+
+
 @dataclass(frozen=True)
 class Identification:
     """Result of an identification: a fit with its free runs.
@@ -324,26 +331,24 @@ class Identification:
         uninformed = set(self.uninformed_parameters)
         for quantity, estimates in self._estimates_by_quantity().items():
             prior_number = numbers[quantity]
-            values, errors = np.array(estimates).T
+            values, stds = np.array(estimates).T
             scatter = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
-            tolerance = 2.0 * math.hypot(float(np.sqrt(np.mean(errors**2))), scatter)
+            tolerance = 2.0 * math.hypot(float(np.sqrt(np.mean(stds**2))), scatter)
             origin = "not informed by" if quantity in uninformed else "identified from"
             source = f"{origin} {labels}; before: {prior_number.value:g} +- {prior_number.tolerance:g}"
             numbers[quantity] = Number(float(np.mean(values)), prior_number.unit, tolerance, source)
         description = f"{fitted_rig.name} as identified from {labels}"
         return Rig(name, description, numbers, self._effect_numbers(), self.fit.problem.model.name)
 
-    def _estimates_by_quantity(self) -> dict[str, list[tuple[float, float]]]:
-        """Collect estimate and standard error of each rig parameter: one pair, or one per flight if flights
-        differ in the parameter.
-        """
+    def _estimates_by_quantity(self) -> dict[str, list[_ValueAndStd]]:
+        """Collect the estimates of each rig parameter: one, or one per flight if flights differ in it."""
         fit, problem = self.fit, self.fit.problem
         several_flights = len(problem.records) > 1
-        estimates: dict[str, list[tuple[float, float]]] = {}
+        estimates: dict[str, list[_ValueAndStd]] = {}
         for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
             of_one_flight = several_flights and parameter.quantity in PER_FLIGHT
             if parameter.quantity in problem.rig.numbers and not of_one_flight:
-                estimates.setdefault(parameter.quantity, []).append((float(value), std))
+                estimates.setdefault(parameter.quantity, []).append(_ValueAndStd(float(value), std))
         return estimates
 
     def _effect_numbers(self) -> dict[str, dict[str, Number]]:
@@ -490,7 +495,7 @@ def identify(
     max_fit_s: float = float("inf"),
     threads: int | None = None,
     on_progress: Callable[[FitProgress], None] | None = None,
-    skip_sign_check: bool = False,
+    accept_unexplained: bool = False,
 ) -> Identification:
     """Estimate a model's parameters from flights, and validate them on others.
 
@@ -518,7 +523,7 @@ def identify(
         Threads of the predictions; see `Problem`.
     on_progress : callable, optional
         Called with the progress of the work.
-    skip_sign_check : bool
+    accept_unexplained : bool
         Accept flights whose motion the voltages do not explain, such as noise.
 
     Raises
@@ -549,7 +554,7 @@ def identify(
     validated = validate(fit, held_out) if held_out else None
     validation_traces, validation_errors = _free_runs(validated) if validated is not None else ((), ())
     validation_converged = validated is None or validated.converged
-    if not skip_sign_check:
+    if not accept_unexplained:
         for flight in (*training_traces, *validation_traces):
             refuse_unexplained(flight)
     return Identification(

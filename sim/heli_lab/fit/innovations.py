@@ -363,9 +363,28 @@ def _repetition_correction_nats(
     return np.stack([nats(model.quantisation) for model in models])
 
 
+class SmoothedDisturbances(NamedTuple):
+    """Disturbances of one flight, given all of its measurements.
+
+    Parameters
+    ----------
+    t_s : ndarray (k,)
+        Times since the first sample of the flight [s].
+    values : ndarray (k, m)
+        Sum of the fast and the slow disturbance of each output, in the unit of the disturbed parameter:
+        torques in N m, if these are disturbed.
+    std : ndarray (k, m)
+        Standard error of each sum.
+    """
+
+    t_s: Floats
+    values: Floats
+    std: Floats
+
+
 def smoothed_disturbances(
     filtered: InnovationsModel, disturbances: DisturbanceModel
-) -> list[tuple[Floats, Floats, Floats]]:
+) -> list[SmoothedDisturbances]:
     """Estimate the disturbances given each whole flight, by the fixed-interval smoother.
 
     Parameters
@@ -377,9 +396,8 @@ def smoothed_disturbances(
 
     Returns
     -------
-    list of (ndarray (k,), ndarray (k, m), ndarray (k, m))
-        For each flight: times since its first sample [s], the sum of the fast and the slow disturbance of
-        each output in the unit of the disturbed parameter, and the standard error of this sum.
+    list of SmoothedDisturbances
+        Those of each flight.
     """
     result = []
     outputs = len(filtered.model.outputs)
@@ -395,7 +413,9 @@ def smoothed_disturbances(
             times.append(linearised.nodes.t_s[blocks.rows])
             values.append(mean[:, fast] + mean[:, slow])
             errors.append(np.sqrt(variance[:, fast] + variance[:, slow]))
-        result.append((np.concatenate(times), np.concatenate(values), np.concatenate(errors)))
+        result.append(
+            SmoothedDisturbances(np.concatenate(times), np.concatenate(values), np.concatenate(errors))
+        )
     return result
 
 

@@ -138,7 +138,7 @@ def rig_prior(rig: Rig, name: str) -> Prior:
     """
     number = rig[name]
     low = -np.inf if rig.may_be_negative(name) else MIN_OF_PRIOR * abs(number.value)
-    return Prior(number.value, 0.5 * number.tolerance, low)
+    return Prior(mean=number.value, std=0.5 * number.tolerance, low=low)
 
 
 RIGID_STATES: Final = 6

@@ -16,7 +16,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
@@ -42,6 +42,13 @@ from heli_lab.fit.uncertainty import (
     window_weights,
 )
 from heli_lab.fit.windows import Grid
+
+
+class WorkShares(NamedTuple):
+    """Shares of the whole fit that are done before and after a part of it, from 0 to 1."""
+
+    before: float
+    after: float
 
 
 @dataclass
@@ -479,17 +486,17 @@ class MultipleShooting:
         return reoptimise_states(self.cost, iterate)
 
     def descend(
-        self, iterate: Iterate, stage: str, work_done: tuple[float, float], max_steps: int
+        self, iterate: Iterate, stage: str, shares: WorkShares, max_steps: int
     ) -> tuple[Iterate, bool]:
-        """Reduce the cost by Levenberg-Marquardt steps until the steps are small. Shapes: `work_done`
-        (float, float). Returns `iterate`, `converged`.
+        """Reduce the cost by Levenberg-Marquardt steps until the steps are small.
+
+        Returns `iterate`, `converged`.
         """
 
         def report(number: int, cost: float) -> None:
             """Report the progress after step `number`."""
-            before, after = work_done
             # The number of steps is not known: each one counts for half of the work that remains.
-            done = before + (after - before) * (1 - 0.5**number)
+            done = shares.before + (shares.after - shares.before) * (1 - 0.5**number)
             self._on_progress(FitProgress(stage, done, cost))
 
         minimum = minimise(
@@ -605,10 +612,10 @@ def _fit_coarse_grid(shooting: MultipleShooting, iterate: Iterate, warm_start: b
         # While amplitudes are still wrong, a frequency or a moment would converge to a wrong local minimum.
         is_rough = number < thresholds.ROUGH_ROUNDS
         shooting.is_fixed[:] = [is_rough and parameter.quantity in multimodal for parameter in problem.free]
-        work_done = (_COARSE_SHARE * number / round_count, _COARSE_SHARE * (number + 1) / round_count)
+        shares = WorkShares(_COARSE_SHARE * number / round_count, _COARSE_SHARE * (number + 1) / round_count)
         max_steps = _ROUGH_STEPS if is_rough else _COARSE_STEPS
         stage = f"coarse fit, round {number + 1}"
-        last = _fit_round(shooting, iterate, stage, work_done, max_steps, restart=number in _RESTART_ROUNDS)
+        last = _fit_round(shooting, iterate, stage, shares, max_steps, restart=number in _RESTART_ROUNDS)
         iterate = last.iterate
         shooting.damping = 0.0
         is_settled = number + 1 >= min_rounds and last.weights_settled
@@ -626,8 +633,8 @@ def _fit_every_sample(shooting: MultipleShooting, iterate: Iterate) -> _RoundRes
     iterate = cost.evaluate(iterate.theta, iterate.states)
     cost.reweight(iterate)
     for number in range(round_count):
-        work_done = (_COARSE_SHARE + (1.0 - _COARSE_SHARE) * number / round_count, 1.0)
-        last = _fit_round(shooting, iterate, "every sample", work_done, _FINE_STEPS, restart=number < 2)
+        shares = WorkShares(_COARSE_SHARE + (1.0 - _COARSE_SHARE) * number / round_count, 1.0)
+        last = _fit_round(shooting, iterate, "every sample", shares, _FINE_STEPS, restart=number < 2)
         iterate = last.iterate
         if last.weights_settled or shooting.is_out_of_budget():
             break
@@ -638,14 +645,14 @@ def _fit_round(
     shooting: MultipleShooting,
     iterate: Iterate,
     stage: str,
-    work_done: tuple[float, float],
+    shares: WorkShares,
     max_steps: int,
     *,
     restart: bool,
 ) -> _RoundResult:
     """Search for the minimum from an `iterate`, then estimate weights and state priors again."""
     cost = shooting.cost
-    iterate, search_converged = shooting.descend(iterate, stage, work_done, max_steps)
+    iterate, search_converged = shooting.descend(iterate, stage, shares, max_steps)
     restarted = restart and not shooting.is_out_of_budget() and restart_outliers(cost, iterate)
     cost.update_state_prior(iterate)
     change = cost.reweight(iterate)

@@ -100,7 +100,7 @@ def identify(
             validation_labels=inputs.labels[len(flights) :],
             window_s=window_s,
             on_progress=lambda progress: bar.show(progress.stage, progress.done),
-            skip_sign_check=skip_sign_check,
+            accept_unexplained=skip_sign_check,
         )
         page: Path | None = None
         if save_rig is not None:

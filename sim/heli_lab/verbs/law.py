@@ -159,7 +159,7 @@ def fly(
     flight_result.report()
     say(f"law {control_law.name}: {trial}")
     flight_result.write(law=control_law.name, trial=trial.as_dict())
-    flight_result.end()
+    flight_result.raise_if_not_completed()
 
 
 @app.command()

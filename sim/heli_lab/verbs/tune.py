@@ -19,8 +19,10 @@ from heli_lab.fit_inputs import DEFAULT_MODEL, EquationsOption
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from heli_host.errors import FlightAborted
     from heli_host.ui.cli.live import WorkBar
     from heli_sim.model.base import Model
+    from heli_sim.model.effect import Effect
     from heli_sim.rig import Rig
 
     from heli_lab.control.tune import Design, LoopEffects
@@ -72,71 +74,124 @@ def tune(
 
     Example: `heli-host tune --rig mine.toml --save-params gains.toml`
     """
-    from heli_host.board.parameters import checked, parameters_text
-    from heli_host.errors import FlightAborted
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_parameters_place, check_result_places
-    from heli_sim.model import MODELS, model_named
     from heli_sim.model.effects import effects_with
-    from heli_sim.model.effects.lags import RotorLag
     from heli_sim.rig import load_rig
-
-    from heli_lab.control.tune import find_gains, loop_effects_of
 
     data_on_stdout(json)
     check_result_places(json, figure=figure)
     check_parameters_place(save_params)
     base_rig = load_rig(rig)
-    all_effects = effects_with(base_rig, effect or (), effect_file or ())
-    name = model or base_rig.model or DEFAULT_MODEL
-    equations = model_named(name, all_effects)
-    loop_effects = loop_effects_of(all_effects)
+    task = _Task(
+        base_rig,
+        model or base_rig.model or DEFAULT_MODEL,
+        tuple(effects_with(base_rig, effect or (), effect_file or ())),
+        sensitivity,
+        seed,
+    )
     with WorkBar() as bar:
-        design = find_gains(
-            base_rig,
-            None,
-            sensitivity,
-            lambda stage: bar.show(stage, 0.05 if stage.startswith("elevation") else 0.2),
-            model=MODELS[name],
-            loop_effects=loop_effects,
-        )
-        parameters = rounded_parameters(design.parameters)
-        for parameter, value in parameters.items():
-            checked(parameter, value)
-        test_models = [_TestModel(_lag_label(loop_effects.lag_s), equations)]
-        if loop_effects.lag_s is None:
-            model_with_lag = model_named(name, (*all_effects, RotorLag(TRIAL_LAG_s)))
-            test_models.append(_TestModel(_lag_label(TRIAL_LAG_s), model_with_lag))
-        trials = _fly_test(test_models, base_rig, parameters, seed, bar)
-    say(*_rig_lines(base_rig, name, design, loop_effects), *_margin_lines(design), *_flight_lines(trials))
-    failures = [
-        f"{trial.label}: {trial.metrics.outcome}" for trial in trials if trial.metrics.outcome != "completed"
-    ]
+        result = _design_and_test(task, bar)
+    say(*_rig_lines(result), *_margin_lines(result.design), *_flight_lines(result.trials))
+    failures = result.failures
     if save_params is not None and not failures:
-        design_text = ", ".join(
-            (f"rig {base_rig.name}", f"model {name}", *(effect.name for effect in all_effects))
-        )
-        text = parameters_text(parameters, f"heli-host tune: gains for {design_text}")
-        write_signed(save_params, text)
-    write_result(json, _json_object(base_rig, name, design, loop_effects, parameters, trials))
+        _write_parameters(save_params, result)
+    write_result(json, _json_object(result))
     if figure is not None:
         from heli_lab.control.tune.trial import figure_of_design
 
-        flights = [(trial.label, trial.flight) for trial in trials]
-        save_figure(figure_of_design(design, flights), figure, dpi=120)
+        flights = [(trial.label, trial.flight) for trial in result.trials]
+        save_figure(figure_of_design(result.design, flights), figure, dpi=120)
     say_files((None if failures else save_params, json, figure))
     if failures:
-        not_written = f"; {save_params} was not written" if save_params is not None else ""
-        raise FlightAborted(
-            f"{len(failures)} of {len(trials)} test flights with these gains failed: "
-            f"{failures[0]}{not_written}",
-            "check the rig file with heli-host rig check, or lower --sensitivity",
-        )
+        raise _failed_flights_error(result, save_params)
     if save_params is not None:
         say(
             f"to fly with these gains: heli-host fly hover --sil --rig {rig} --params {save_params}; "
             f"to set them on a board: heli-host params restore {save_params} --port PORT"
         )
+
+
+@dataclass(frozen=True)
+class _Task:
+    """A rig, and the demands on its gains."""
+
+    rig: Rig
+    model_name: str
+    effects: tuple[Effect, ...]  # Of the rig file and of the options
+    sensitivity: float  # Largest peak of 1/|1 + L|
+    seed: int  # Seed of the test flights
+
+
+@dataclass(frozen=True)
+class _Result:
+    """Gains for a rig, and their test flights."""
+
+    task: _Task
+    loop_effects: LoopEffects  # Effects that the design considers
+    design: Design
+    parameters: Mapping[str, float]  # The gains, rounded, as parameters of the board
+    trials: Sequence[Trial]
+
+    @property
+    def failures(self) -> list[str]:
+        """Label and outcome of each test flight that was not completed."""
+        return [
+            f"{trial.label}: {trial.metrics.outcome}"
+            for trial in self.trials
+            if trial.metrics.outcome != "completed"
+        ]
+
+
+def _design_and_test(task: _Task, bar: WorkBar) -> _Result:
+    """Design gains that the board accepts, and fly them in simulation."""
+    from heli_host.board.parameters import checked
+    from heli_sim.model import MODELS, model_named
+    from heli_sim.model.effects.lags import RotorLag
+
+    from heli_lab.control.tune import find_gains, loop_effects_of
+
+    equations = model_named(task.model_name, task.effects)
+    loop_effects = loop_effects_of(task.effects)
+    design = find_gains(
+        task.rig,
+        None,
+        task.sensitivity,
+        lambda stage: bar.show(stage, 0.05 if stage.startswith("elevation") else 0.2),
+        model=MODELS[task.model_name],
+        loop_effects=loop_effects,
+    )
+    parameters = rounded_parameters(design.parameters)
+    for parameter, value in parameters.items():
+        checked(parameter, value)
+    test_models = [_TestModel(_lag_label(loop_effects.lag_s), equations)]
+    if loop_effects.lag_s is None:
+        model_with_lag = model_named(task.model_name, (*task.effects, RotorLag(TRIAL_LAG_s)))
+        test_models.append(_TestModel(_lag_label(TRIAL_LAG_s), model_with_lag))
+    trials = _fly_test(test_models, task.rig, parameters, task.seed, bar)
+    return _Result(task, loop_effects, design, parameters, trials)
+
+
+def _write_parameters(file: Path, result: _Result) -> None:
+    """Write the board's parameters; the first line states for which rig they are."""
+    from heli_host.board.parameters import parameters_text
+
+    task = result.task
+    effect_names = [effect.name for effect in task.effects]
+    design_text = ", ".join((f"rig {task.rig.name}", f"model {task.model_name}", *effect_names))
+    write_signed(file, parameters_text(result.parameters, f"heli-host tune: gains for {design_text}"))
+
+
+def _failed_flights_error(result: _Result, save_params: Path | None) -> FlightAborted:
+    """Return the error that ends the verb if a test flight failed."""
+    from heli_host.errors import FlightAborted
+
+    not_written = f"; {save_params} was not written" if save_params is not None else ""
+    return FlightAborted(
+        f"{len(result.failures)} of {len(result.trials)} test flights with these gains failed: "
+        f"{result.failures[0]}{not_written}",
+        "check the rig file with heli-host rig check, or lower --sensitivity",
+    )
 
 
 def rounded_parameters(parameters: Mapping[str, float]) -> dict[str, float]:
@@ -178,16 +233,17 @@ def _lag_label(lag_s: float | None) -> str:
     return "no lag" if lag_s is None else f"lag {1e3 * lag_s:.0f} ms"
 
 
-def _rig_lines(rig: Rig, model: str, design: Design, loop_effects: LoopEffects) -> list[str]:
+def _rig_lines(result: _Result) -> list[str]:
     """Describe the rig and the plants of the design; name unknown encoder directions and excluded effects."""
     from heli_host.declaration import AXES
     from heli_sim.rig.rig import direction_is_known
 
+    rig, design, loop_effects = result.task.rig, result.design, result.loop_effects
     lags_ms = [1e3 * plant.lag_s for plant in design.plants]
     delay_text = f", delay {1e3 * loop_effects.delay_s:.0f} ms" if loop_effects.delay_s else ""
     lines = [
-        f"rig {rig.name}, model {model}: {len(design.plants)} plants, lag {min(lags_ms):.0f} to "
-        f"{max(lags_ms):.0f} ms{delay_text}"
+        f"rig {rig.name}, model {result.task.model_name}: {len(design.plants)} plants, "
+        f"lag {min(lags_ms):.0f} to {max(lags_ms):.0f} ms{delay_text}"
     ]
     unknown_axes = [
         axis for axis, is_known in zip(AXES, direction_is_known(rig), strict=True) if not is_known
@@ -252,14 +308,7 @@ def _settling_text(time_s: float) -> str:
     return f"settling time {time_s:.1f} s" if math.isfinite(time_s) else "not settled"
 
 
-def _json_object(
-    rig: Rig,
-    model: str,
-    design: Design,
-    loop_effects: LoopEffects,
-    parameters: Mapping[str, float],
-    trials: Sequence[Trial],
-) -> dict[str, Any]:
+def _json_object(result: _Result) -> dict[str, Any]:
     """Return design, margins and test flights as a JSON object."""
     from dataclasses import asdict
 
@@ -271,16 +320,16 @@ def _json_object(
             "counterweight": plant.counterweight,
             "margins": {loop: asdict(margin) for loop, margin in plant_margins.items()},
         }
-        for plant, plant_margins in zip(design.plants, design.margins, strict=True)
+        for plant, plant_margins in zip(result.design.plants, result.design.margins, strict=True)
     ]
     return {
-        "rig": rig.name,
-        "model": model,
-        "left_out": list(loop_effects.excluded),
-        "sensitivity": design.sensitivity,
-        "parameters": dict(parameters),
+        "rig": result.task.rig.name,
+        "model": result.task.model_name,
+        "left_out": list(result.loop_effects.excluded),
+        "sensitivity": result.design.sensitivity,
+        "parameters": dict(result.parameters),
         "plants": plants,
-        "flights": [{"on": trial.label, **asdict(trial.metrics)} for trial in trials],
+        "flights": [{"on": trial.label, **asdict(trial.metrics)} for trial in result.trials],
     }
 
 

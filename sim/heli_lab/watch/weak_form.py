@@ -207,6 +207,20 @@ class _Prior(NamedTuple):
     std: float
 
 
+class _Accelerations(NamedTuple):
+    """True accelerations at the rows of a part."""
+
+    values: Floats  # (n, 3) [rad/s^2]
+    derivatives: Floats  # (n, 3, unknowns): By the unknowns
+
+
+class _ActingVoltages(NamedTuple):
+    """Voltages of both motors that act on the rotors, at the rows of a part."""
+
+    values: Floats  # (n, 2) [V]
+    derivatives: Floats  # (n, 2, 2): By the logarithm of the factor on the voltages, and by the lag
+
+
 class FlightInWeakForm:
     """Residuals of a rig's equations of motion along a flight, in weak form.
 
@@ -283,11 +297,11 @@ class FlightInWeakForm:
         residuals: list[list[Floats]] = [[], [], []]
         jacobians: list[list[Floats]] = [[], [], []]
         for part, test, measured in zip(self._parts, self._tests, self._measured, strict=True):
-            accelerations, derivatives = self._true_accelerations(part, unknowns)
+            true = self._true_accelerations(part, unknowns)
             for axis in range(3):
-                predicted = test.mean(axis, accelerations[:, axis])
+                predicted = test.mean(axis, true.values[:, axis])
                 residuals[axis].append(measured[axis] - scales[axis] * predicted)
-                jacobian = -scales[axis] * test.mean(axis, derivatives[:, axis])
+                jacobian = -scales[axis] * test.mean(axis, true.derivatives[:, axis])
                 # The scale is also a factor, and the derivative of it by its logarithm is the scale itself.
                 jacobian[:, axis] -= scales[axis] * predicted
                 jacobians[axis].append(jacobian)
@@ -296,37 +310,45 @@ class FlightInWeakForm:
             [np.concatenate(of_parts) for of_parts in jacobians],
         )
 
-    def _true_accelerations(self, part: Part, unknowns: Floats) -> tuple[Floats, Floats]:
-        """Compute the true accelerations by the equations of motion at every row of a part. Returns shape
-        `accelerations` (n, 3), `derivatives` (n, 3, unknowns).
-        """
-        scales, factor = np.exp(unknowns[:VOLTAGE_FACTOR]), np.exp(unknowns[VOLTAGE_FACTOR])
-        first = SCALES_AND_FACTOR
-        lag_s, zeros_rad = unknowns[first], np.array([*unknowns[first + 1 : first + 3], 0.0])
+    def _true_accelerations(self, part: Part, unknowns: Floats) -> _Accelerations:
+        """Compute the true accelerations by the equations of motion at every row of a part."""
+        scales = np.exp(unknowns[:VOLTAGE_FACTOR])
+        first_zero = SCALES_AND_FACTOR + 1
+        zeros_rad = np.array([*unknowns[first_zero : first_zero + 2], 0.0])
         parameters = self._parameters.copy()
-        parameters[self._places] = unknowns[first + 3 :]
+        parameters[self._places] = unknowns[first_zero + 2 :]
         # True angles, relative to those at which the encoders were zeroed, and true rates.
         deflections = (part.angles_rad - self._pivot - zeros_rad) / scales
         rates = part.rates_rad_s / scales
-        lagged_V = part.lagged_V(lag_s)
-        volts = np.maximum(factor * lagged_V, self._min_V)
-        volts_by_factor = np.where(factor * lagged_V > self._min_V, factor * lagged_V, 0.0)
-        volts_by_lag = factor * (part.lagged_V(lag_s + _LAG_STEP_s) - lagged_V) / _LAG_STEP_s
-        state = np.hstack((self._pivot + deflections, rates))
-        trajectory = Trajectory(part.t_s, state, volts, part.step_s, parameters)
+        voltages = self._acting_voltages(part, unknowns[VOLTAGE_FACTOR], unknowns[SCALES_AND_FACTOR])
+        states = np.hstack((self._pivot + deflections, rates))
+        trajectory = Trajectory(part.t_s, states, voltages.values, part.step_s, parameters)
         # Shapes (n, states, 1 + parameters), (n, states, states) and (n, states, 2).
         value, by_state, _, by_volts, *_ = self._functions.along(trajectory)
         # The states are three angles and three rates; the derivative of a rate is an acceleration.
         rows, angle_columns, rate_columns = slice(3, 6), slice(0, 3), slice(3, 6)
         by_angles, by_rates = by_state[:, rows, angle_columns], by_state[:, rows, rate_columns]
         by_scales = -by_angles * deflections[:, None] - by_rates * rates[:, None]
-        by_factor = np.sum(by_volts[:, rows] * volts_by_factor[:, None], axis=2, keepdims=True)
-        by_lag = np.sum(by_volts[:, rows] * volts_by_lag[:, None], axis=2, keepdims=True)
+        # Products of (n, 3, 2) by (n, 2, 2): by the factor on the voltages, and by the lag.
+        by_factor_and_lag = by_volts[:, rows] @ voltages.derivatives
         by_zeros = -by_angles[:, :, :2] / scales[:2]
         # The functions give negative derivatives by the parameters.
         by_parameters = -value[:, rows, 1:]
-        derivatives = np.concatenate((by_scales, by_factor, by_lag, by_zeros, by_parameters), axis=2)
-        return value[:, rows, 0], derivatives
+        derivatives = np.concatenate((by_scales, by_factor_and_lag, by_zeros, by_parameters), axis=2)
+        return _Accelerations(value[:, rows, 0], derivatives)
+
+    def _acting_voltages(self, part: Part, log_factor: float, lag_s: float) -> _ActingVoltages:
+        """Return the lagged voltages times the unknown factor; below the dead zone, those of its edge act."""
+        factor = np.exp(log_factor)
+        lagged_V = part.lagged_V(lag_s)
+        by_lag = factor * (part.lagged_V(lag_s + _LAG_STEP_s) - lagged_V) / _LAG_STEP_s
+        # The derivative of the factor by its logarithm is the factor itself.
+        by_unknowns = np.stack((factor * lagged_V, by_lag), axis=2)
+        # In the dead zone, neither the factor nor the lag changes the voltage.
+        is_effective = factor * lagged_V > self._min_V
+        return _ActingVoltages(
+            np.maximum(factor * lagged_V, self._min_V), np.where(is_effective[:, :, None], by_unknowns, 0.0)
+        )
 
 
 def _without_random_and_lagged_effects(model: Model) -> Model:

@@ -104,15 +104,16 @@ def sil(
     from heli_sim.sil.options import SilOptions, parse_encoders_out, parse_times
     from heli_sim.sil.server import is_local, run_server
 
-    flown_rig = load_rig(rig or DEFAULT_RIG)
-    set_parameters = set_from_rig_text(flown_rig.name, in_simulation(flown_rig))
-    choice = choose(which_board(board, elf), str(elf) if elf is not None else "")
+    rig_name = rig or DEFAULT_RIG
+    loaded_rig = load_rig(rig_name)
+    parameters_of_rig = set_from_rig_text(loaded_rig.name, in_simulation(loaded_rig))
+    chosen_board = choose(which_board(board, elf), str(elf) if elf is not None else "")
     options = SilOptions(
-        rig=rig or DEFAULT_RIG,
+        rig=rig_name,
         seed=seed,
         speed=parse_speed(speed),
-        board=choice.name,
-        elf=choice.elf,
+        board=chosen_board.name,
+        elf=chosen_board.elf,
         reset_on_open=reset_on_open,
         model=model or "",
         effects=tuple(effect or ()),
@@ -123,16 +124,18 @@ def sil(
             supply_out=parse_times("--supply-out", supply_out or ()),
         ),
     )
+    # Failures are typed in this terminal. Windows cannot wait for a terminal and a port in one call.
+    has_console = sys.platform != "win32" and sys.stdin is not None and sys.stdin.isatty()
 
     def say_ready(url: str) -> None:
         """Print the address of the board, what it simulates, and how fast."""
         pace = "as fast as the host keeps up" if options.speed is None else f"{options.speed:g} x real time"
-        board_text = "simulated board" if not choice.elf else choice.text
+        board_text = "simulated board" if not chosen_board.elf else chosen_board.text
         rig_text = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))
         say(f"{board_text} on {url}, rig {rig_text}, {pace}; Ctrl-C ends it")
-        if set_parameters:
-            say(set_parameters)
-        if console_fd is not None:
+        if parameters_of_rig:
+            say(parameters_of_rig)
+        if has_console:
             say(f"to rehearse, type: {HELP}")
         if not is_local(url):
             print(
@@ -142,15 +145,12 @@ def sil(
                 flush=True,
             )
 
-    # Windows cannot wait for a terminal and a port at once, so it has no console of failures.
-    has_console = sys.platform != "win32" and sys.stdin is not None and sys.stdin.isatty()
-    console_fd = sys.stdin.fileno() if has_console else None
     counters = run_server(
         options,
         pty=pty,
         tcp=tcp,
         rfc2217=rfc2217,
-        words_fd=console_fd,
+        words_fd=sys.stdin.fileno() if has_console else None,
         answer=say,
         on_ready=say_ready,
     )

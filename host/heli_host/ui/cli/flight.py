@@ -41,11 +41,11 @@ from heli_host.ui.cli.options import (
     TwinOption,
     check_gains,
     check_result_places,
+    check_speed,
     chosen_parameters,
     flight_folder,
     lands_on_alarm,
     open_watch,
-    parse_speed,
     read_twin,
     refuse_without_sil,
     rig_name,
@@ -102,17 +102,7 @@ class FlightOptions:
         """Return the address of the simulated board, None for a real one."""
         if self.simulation:
             return self.simulation
-        parse_speed(self.speed)
-        if not self.sil:
-            refuse_without_sil(
-                board=self.board,
-                elf=self.elf,
-                model=self.model,
-                effect=self.effect,
-                effect_file=self.effect_file,
-                blind=self.blind,
-            )
-        check_target(self.port, self.sil)
+        self._check_board_options()
         if not self.sil:
             return None
         return sil_address(
@@ -125,6 +115,20 @@ class FlightOptions:
             effect=self.effect,
             effect_files=self.effect_file,
         )
+
+    def _check_board_options(self) -> None:
+        """Refuse an invalid speed, options that contradict each other, and options that name no board."""
+        check_speed(self.speed)
+        if not self.sil:
+            refuse_without_sil(
+                board=self.board,
+                elf=self.elf,
+                model=self.model,
+                effect=self.effect,
+                effect_file=self.effect_file,
+                blind=self.blind,
+            )
+        check_target(self.port, self.sil)
 
     def with_seed(self) -> FlightOptions:
         """Return options that name a seed: a random one for a blind flight.
@@ -172,7 +176,7 @@ class FlownFlight:
         say(*self.lines)
         say_files([self.log, self.json, self.figure])
 
-    def end(self) -> None:
+    def raise_if_not_completed(self) -> None:
         """Raise FlightAborted after a flight that was not completed."""
         from heli_host.errors import FlightAborted
 

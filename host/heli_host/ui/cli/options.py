@@ -228,6 +228,11 @@ def parse_speed(text: str) -> float | None:
     return speed
 
 
+def check_speed(text: str) -> None:
+    """Refuse the `text` of a ``--speed`` that `parse_speed` cannot read."""
+    parse_speed(text)
+
+
 def which_board(board: str | None, elf: Path | None) -> str:
     """Settle which simulated `board` is meant: without a name the native one, or the Due when there is an
     `elf`. A typer.BadParameter when the two contradict each other.

@@ -16,6 +16,7 @@ from heli_host.fly.pilot import Pilot, Progress
 from heli_host.fly.plan import Plan, take_off
 from heli_host.fly.tracking import Tolerance
 from heli_host.link.clock import TICK_S
+from heli_host.link.engine import UNNUMBERED
 from heli_host.ui.page.source import News, cause, in_words, is_without_setpoints, number, text
 
 if TYPE_CHECKING:
@@ -235,7 +236,7 @@ class LawChoice:
         state = self._heli.state
         if not name:
             if self._is_law_flying:
-                self._heli.session.command(LawFlyMessage(0, 0))
+                self._heli.session.command(LawFlyMessage(UNNUMBERED, 0))
         elif state is State.IDLE:
             self._heli.load_law(self._laws[name])
         elif state is State.CLOSED_LOOP:

@@ -53,20 +53,22 @@ class PageClient:
     stop of every page still works.
     """
 
-    def __init__(self, stack: contextlib.ExitStack, socket: ClientConnection, stop_address: str) -> None:
-        self._opened, self._socket = stack, socket
+    def __init__(self, resources: contextlib.ExitStack, socket: ClientConnection, stop_address: str) -> None:
+        self._resources = resources  # The socket and all else that `close` releases
+        self._socket = socket
         self._stop_address = stop_address
         self._buffer = TelemetryBuffer(round(KEPT_S / TICK_S))
-        self._news: dict[str, Any] = {}
-        self._values: dict[str, float] = {}
-        self._answers: dict[int, Mapping[str, Any]] = {}
-        self._number = 0
-        self._requests = RateLimit(_REQUESTS_PER_S, _REQUESTS_PER_S)
-        self._is_closed = False
+        # Messages of the server; `_changed` guards them, and wakes callers that wait for one.
         self._changed = threading.Condition()
-        self._thread = threading.Thread(target=self._read_until_closed, name="heli-host joined", daemon=True)
-        self._thread.start()
-        if not self._wait_until(lambda: "hello" in self._news and "control" in self._news, _OPEN_S):
+        self._newest: dict[str, Any] = {}  # Newest message of a kind: hello, status or control
+        self._parameters: dict[str, float] = {}  # Parameters of the board by name
+        self._answers: dict[int, Mapping[str, Any]] = {}  # By number of the request
+        self._is_closed = False
+        self._last_request = 0
+        self._request_limit = RateLimit(_REQUESTS_PER_S, _REQUESTS_PER_S)
+        self._reader = threading.Thread(target=self._read_until_closed, name="heli-host joined", daemon=True)
+        self._reader.start()
+        if not self._wait_until(lambda: "hello" in self._newest and "control" in self._newest, _OPEN_S):
             self.close()
             raise LinkError("the dashboard refused the connection", "give the whole address that it printed")
 
@@ -81,12 +83,12 @@ class PageClient:
     @property
     def params(self) -> Mapping[str, float]:
         """The board's parameters by name, read-only; `set` changes one."""
-        return MappingProxyType(self._values)
+        return MappingProxyType(self._parameters)
 
     @property
     def state(self) -> State:
         """State of the board's supervisor, at most about 0.5 s old."""
-        state = self._news["status"]["state"]
+        state = self._newest["status"]["state"]
         if state not in list(State):
             raise LinkError("no sample has come from the board yet", "wait a moment, then try again")
         return State(state)
@@ -94,18 +96,18 @@ class PageClient:
     @property
     def status(self) -> Mapping[str, Any]:
         """Newest status that the server sent: state, fault, link, recording, flight."""
-        return MappingProxyType(dict(self._news["status"]))
+        return MappingProxyType(dict(self._newest["status"]))
 
     @property
     def flies(self) -> bool:
         """Whether this program is the pilot."""
-        return bool(self._news["control"]["pilot"] == self._news["hello"]["you"])
+        return bool(self._newest["control"]["pilot"] == self._newest["hello"]["you"])
 
     def samples(self, last_s: float = 10.0) -> Samples:
         """Return the newest samples, oldest first: one per tick of 1 ms, or fewer if this program is slow."""
         count = round(min(max(finite("last_s", last_s), 0.0), KEPT_S) / TICK_S)
         cut = self._buffer.rows_since(max(self._buffer.end - count, 0), round(KEPT_S / TICK_S))
-        return Scales(self._values).samples(cut.tick, cut.raw)
+        return Scales(self._parameters).samples(cut.tick, cut.raw)
 
     def set(self, name: str, value: float) -> float:
         """Set a parameter of the board, in memory only, and return the value in force."""
@@ -115,8 +117,8 @@ class PageClient:
         """Ask the pilot for control and wait for the answer."""
         if self.ask("ask").get("granted"):
             return True
-        own_key = self._news["hello"]["you"]
-        self._wait_until(lambda: self.flies or self._news["control"]["asking"] != own_key, timeout_s)
+        own_key = self._newest["hello"]["you"]
+        self._wait_until(lambda: self.flies or self._newest["control"]["asking"] != own_key, timeout_s)
         return self.flies
 
     def setpoint(self, *, elevation_deg: float | None = None, travel_deg: float | None = None) -> None:
@@ -153,11 +155,11 @@ class PageClient:
         At most 50 requests are sent per second; a further one waits for its turn.
         """
         with self._changed:
-            self._number += 1
-            number = self._number
+            self._last_request += 1
+            number = self._last_request
         text = _as_json({**arguments, "do": name, "id": number})
-        while not self._requests.take():
-            time.sleep(self._requests.wait_s())
+        while not self._request_limit.take():
+            time.sleep(self._request_limit.wait_s())
         try:
             self._socket.send(text)
         except WebSocketException as error:
@@ -177,7 +179,7 @@ class PageClient:
 
     def wait_for_state(self, *states: State, timeout_s: float = 30.0) -> State:
         """Wait until the board is in one of the given `states`, and return that state."""
-        if not self._wait_until(lambda: self._news["status"]["state"] in states, timeout_s):
+        if not self._wait_until(lambda: self._newest["status"]["state"] in states, timeout_s):
             names = " or ".join(str(state) for state in states)
             raise LinkError(
                 f"the board is {self.state}, not {names}, after {timeout_s:g} s",
@@ -190,9 +192,9 @@ class PageClient:
         setpoints: it holds level, then lands.
         """
         with contextlib.suppress(WebSocketException, OSError):
-            self._opened.close()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(_OPEN_S)
+            self._resources.close()
+        if threading.current_thread() is not self._reader:
+            self._reader.join(_OPEN_S)
 
     def _wait_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until `condition` is true; return False if that takes too long, or if the page is gone."""
@@ -211,7 +213,7 @@ class PageClient:
         with contextlib.suppress(WebSocketException, OSError):
             for message in self._socket:
                 if isinstance(message, bytes):
-                    self._take_rows(message)
+                    self._store_rows(message)
                 else:
                     self._store_message(json.loads(message))
                 with self._changed:
@@ -220,7 +222,7 @@ class PageClient:
             self._is_closed = True
             self._changed.notify_all()
 
-    def _take_rows(self, frame: bytes) -> None:
+    def _store_rows(self, frame: bytes) -> None:
         """Add the rows of a frame to the buffer, and acknowledge the frame."""
         rows = unpack(frame)
         if rows.flags & RESET and len(rows.tick):
@@ -235,10 +237,10 @@ class PageClient:
                 self._answers[int(message["answer"])] = message
             for name in ("hello", "status", "control"):
                 if name in message:
-                    self._news[name] = message[name]
+                    self._newest[name] = message[name]
             values = message.get("values", message.get("hello", {}).get("values"))
             if values is not None:
-                self._values = values
+                self._parameters = values
 
 
 def _as_json(request: Mapping[str, Any]) -> str:

@@ -133,14 +133,16 @@ class Replay:
 
     def run(self) -> None:
         """Replay the log in the caller's thread until another thread calls `close`."""
-        before_s, owed = time.monotonic(), 0.0
+        before_s, due_ticks = time.monotonic(), 0.0
         while not self._ended.wait(_STEP_S):
             now_s = time.monotonic()
-            owed += (now_s - before_s) * self._speed / TICK_S if self._playing else 0.0
+            if self._playing:
+                due_ticks += (now_s - before_s) * self._speed / TICK_S
             before_s = now_s
-            ticks, owed = int(owed), owed % 1.0
+            whole_ticks = int(due_ticks)
+            due_ticks -= whole_ticks
             with self._lock:
-                self._advance(ticks)
+                self._advance(whole_ticks)
 
     def close(self) -> None:
         """End `run`."""

@@ -110,9 +110,9 @@ def _open_socket(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    # Accepted connections inherit it: a client cannot make the system keep megabytes that nobody reads.
+    # Accepted connections inherit both options. With a small receive buffer, a client cannot make the system
+    # keep megabytes that nobody reads. Without delay, a stop of a few bytes does not wait for more bytes.
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-    # A stop is only a few bytes, which the system must send immediately instead of collecting more.
     listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     try:
         listening.bind((host, port))

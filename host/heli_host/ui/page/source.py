@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any, Final, Protocol
 
-from heli_host.declaration import CHANNELS, FAULTS, PARAMS, ParamSpec, State, Trigger
+from heli_host.declaration import CHANNELS, FAULTS, PARAMS, Param, ParamSpec, State, Trigger
 from heli_host.errors import ParameterError, range_text
 from heli_host.link.channels import is_whole, rad_per_count
 from heli_host.link.installation import plugins
@@ -230,8 +230,6 @@ def parameter_rows() -> list[dict[str, Any]]:
 
 def _parameter_row(spec: ParamSpec) -> dict[str, Any]:
     """Return the declaration of a parameter for the page."""
-    from heli_host.declaration import Param
-
     return {
         "name": spec.name,
         "unit": spec.unit,
@@ -240,7 +238,7 @@ def _parameter_row(spec: ParamSpec) -> dict[str, Any]:
         "default": spec.default,
         "idle_only": spec.idle_only,
         "meaning": spec.meaning,
-        "takes": range_text(Param(spec.index)),
+        "valid_values": range_text(Param(spec.index)),
     }
 
 

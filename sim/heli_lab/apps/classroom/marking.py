@@ -276,7 +276,7 @@ def scored_flight(
         raise KeyboardInterrupt
     outcome = ""
     try:
-        flight_result.end()
+        flight_result.raise_if_not_completed()
     except FlightAborted as error:
         outcome = error.cause
     try:

@@ -112,20 +112,21 @@ def rubric_text(cells: Sequence[NotebookCell]) -> str:
     return "\n\n".join(cell.text for cell in cells if "rubric" in cell.tags) + "\n"
 
 
+_GRADED_TAGS: Final = frozenset({"solution", "check"})
+
+
 def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
     """Return the JSON text of a Jupyter notebook (format 4.5) with metadata of nbgrader."""
-    # A task may have several cells; its last one carries the points.
-    points_position: dict[str, int] = {}
-    for position, cell in enumerate(cells):
-        if {"solution", "check"} & set(cell.tags):
-            points_position[cell.task] = position
+    # A task may have several graded cells; its last one carries the points.
+    last_graded_position = {
+        cell.task: position for position, cell in enumerate(cells) if _GRADED_TAGS & set(cell.tags)
+    }
     cell_objects = []
     for position, cell in enumerate(cells):
         metadata: dict[str, Any] = {"tags": list(cell.tags)} if cell.tags else {}
-        if {"solution", "check"} & set(cell.tags):
-            metadata["nbgrader"] = _grading_metadata(
-                cell, position, points[cell.task], points_position[cell.task] == position
-            )
+        if _GRADED_TAGS & set(cell.tags):
+            carries_points = last_graded_position[cell.task] == position
+            metadata["nbgrader"] = _grading_metadata(cell, position, points[cell.task], carries_points)
         cell_objects.append(
             {
                 "cell_type": "code" if cell.is_code else "markdown",

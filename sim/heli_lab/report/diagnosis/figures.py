@@ -22,7 +22,7 @@ from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.explain.wording import channel_in_words, display_unit, quantity_in_words, readable_id
 from heli_lab.fit.estimator import Estimate
 from heli_lab.fit.identification import Trace, trace
-from heli_lab.fit.innovations import smoothed_disturbances
+from heli_lab.fit.innovations import SmoothedDisturbances, smoothed_disturbances
 from heli_lab.fit.problem import Fit
 
 if TYPE_CHECKING:
@@ -134,16 +134,16 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
     """
     from matplotlib.figure import Figure
 
-    torques = [(_smoothed_torque(diagnosis.search.baseline.estimate), BEFORE, "baseline")]
+    torques = [(_smoothed_torques(diagnosis.search.baseline.estimate), BEFORE, "baseline")]
     if diagnosis.assessment.extended.candidates:
         torques.append(
-            (_smoothed_torque(diagnosis.assessment.extended.estimate), AFTER, "with all named causes")
+            (_smoothed_torques(diagnosis.assessment.extended.estimate), AFTER, "with all named causes")
         )
     figure = Figure(figsize=(11, 6.5))
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
     figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
     for axis in range(3):
-        for (t_s, torque_Nm), color, label in torques:
+        for (t_s, torque_Nm, _), color, label in torques:
             value_mNm = 1e3 * torque_Nm[:, axis]
             legend_text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
             panels[axis, 0].plot(*broken_at_gaps(t_s, value_mNm), color=color, lw=0.7, label=legend_text)
@@ -313,10 +313,9 @@ def _with_window_gaps(run: Trace, values: Floats) -> tuple[Floats, Floats]:
     return np.concatenate(t_s), np.concatenate(thinned_values)
 
 
-def _smoothed_torque(estimate: Estimate) -> tuple[Floats, Floats]:
-    """Return times (k,) [s] and smoothed disturbance torques (k, 3) [N m] of the first fitted flight."""
-    t_s, torque_Nm, _ = smoothed_disturbances(estimate.filtered(), estimate.disturbances)[0]
-    return t_s, torque_Nm
+def _smoothed_torques(estimate: Estimate) -> SmoothedDisturbances:
+    """Return the smoothed disturbance torques [N m] of the first fitted flight."""
+    return smoothed_disturbances(estimate.filtered(), estimate.disturbances)[0]
 
 
 def _amplitude_spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:

@@ -111,21 +111,21 @@ def _effect_causes(result: Diagnosis) -> list[CauseEntry]:
     """Return the causes that are effects of the catalogue."""
     return [
         CauseEntry(
-            cause.effect,
-            cause.parameters,
-            round(cause.confidence, 3),
-            cause.sentence,
-            cause.equation,
-            {
+            effect=cause.effect,
+            parameters=cause.parameters,
+            confidence=round(cause.confidence, 3),
+            sentence=cause.sentence,
+            equation=cause.equation,
+            evidence={
                 "log_likelihood_ratio_train": cause.train,
                 "log_likelihood_ratio_held_out": cause.held_out,
                 "penalty": cause.penalty,
                 "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
             },
-            tuple(cause.ambiguous_with),
-            result.replication.causes[cause.effect],
-            _event_times_s(cause, result),
-            cause.family,
+            ambiguous_with=tuple(cause.ambiguous_with),
+            replication=result.replication.causes[cause.effect],
+            moments_s=_event_times_s(cause, result),
+            family=cause.family,
         )
         for cause in result.verdict.causes
     ]
@@ -211,12 +211,12 @@ def _absent_term_causes(result: Diagnosis) -> list[CauseEntry]:
         }
         entries.append(
             CauseEntry(
-                term.id,
-                {name: CauseParameter(term.share, term.std, "1")},
-                round(term.confidence * factor, 3),
-                kind.describe({name: term.share}, {name: term.std}),
-                kind.equation,
-                evidence,
+                effect=term.id,
+                parameters={name: CauseParameter(term.share, term.std, "1")},
+                confidence=round(term.confidence * factor, 3),
+                sentence=kind.describe({name: term.share}, {name: term.std}),
+                equation=kind.equation,
+                evidence=evidence,
             )
         )
     return entries

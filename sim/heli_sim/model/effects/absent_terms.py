@@ -65,7 +65,12 @@ TERMS: Final[Mapping[str, tuple[str, tuple[str, ...], str]]] = {
 """Each term in words, the rig parameters that cause it, and its equation."""
 
 _SHARE: Final = Parameter(
-    "share", "1", "share s of the term that is not there", 1.0, Prior(0.0, 1.0, 0.0, 1.0), size=True
+    "share",
+    "1",
+    "share s of the term that is not there",
+    typical=1.0,
+    prior=Prior(mean=0.0, std=1.0, low=0.0, high=1.0),
+    size=True,
 )
 
 

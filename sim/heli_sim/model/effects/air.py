@@ -45,19 +45,26 @@ INFLOW_DAMPING: Final = EffectSpec(
     acts_on="thrust",
     stage=Stage.INFLOW,
     numbers=(
-        Parameter("s_per_m", "s/m", "share c lost for each m/s", 0.1, Prior(0.0, 0.5, 0.0, 2.0), size=True),
+        Parameter(
+            "s_per_m",
+            "s/m",
+            "share c lost for each m/s",
+            typical=0.1,
+            prior=Prior(mean=0.0, std=0.5, low=0.0, high=2.0),
+            size=True,
+        ),
         Parameter(
             "loaded",
             "1",
             "1 if the loss is proportional to the thrust, 0 if it is the same at any thrust",
-            1.0,
+            typical=1.0,
             grid=(1.0, 0.0),
         ),
         Parameter(
             "still",
             "1",
             "1 in air that stands still, 0 in air that turns with travel",
-            1.0,
+            typical=1.0,
             grid=(1.0, 0.0),
         ),
     ),
@@ -92,17 +99,26 @@ GROUND_EFFECT: Final = EffectSpec(
     acts_on="thrust",
     stage=Stage.GROUND,
     numbers=(
-        Parameter("share", "1", "share a gained at the table", 0.2, Prior(0.0, 0.5, 0.0, 5.0), size=True),
+        Parameter(
+            "share",
+            "1",
+            "share a gained at the table",
+            typical=0.2,
+            prior=Prior(mean=0.0, std=0.5, low=0.0, high=5.0),
+            size=True,
+        ),
         Parameter(
             "height_m",
             "m",
             "height h_0 over which it falls by a factor e",
-            0.15,
-            Prior(0.15, 0.1, low=0.02, high=1.5),
+            typical=0.15,
+            prior=Prior(mean=0.15, std=0.1, low=0.02, high=1.5),
             grid=(0.05, 0.1, 0.2, 0.4),
         ),
-        Parameter("own", "1", "how far each rotor has a height of its own", 1.0, grid=(0.0, 1.0)),
-        Parameter("table_m", "m", "how far below the elevation axis the table is, where h_i = 0", 0.25),
+        Parameter("own", "1", "how far each rotor has a height of its own", typical=1.0, grid=(0.0, 1.0)),
+        Parameter(
+            "table_m", "m", "how far below the elevation axis the table is, where h_i = 0", typical=0.25
+        ),
     ),
     needs=("L_a", "L_h", "L_theta"),
     linearisable=True,
@@ -148,7 +164,14 @@ EDGEWISE_FLOW: Final = EffectSpec(
     acts_on="thrust",
     stage=Stage.INFLOW,
     numbers=(
-        Parameter("s_per_m", "s/m", "share c for each m/s", 0.08, Prior(0.0, 0.3, 0.0, 1.0), size=True),
+        Parameter(
+            "s_per_m",
+            "s/m",
+            "share c for each m/s",
+            typical=0.08,
+            prior=Prior(mean=0.0, std=0.3, low=0.0, high=1.0),
+            size=True,
+        ),
     ),
     needs=("L_a", "L_theta"),
     linearisable=True,
@@ -178,7 +201,11 @@ def _drag_quadratic(axis: str, symbol: str, typical_Nms2: float, prior: Prior, s
         equation=rf"\tau_{symbol} = -d\, \dot{symbol} |\dot{symbol}|",
         acts_on=f"torque.{axis}",
         stage=Stage.TORQUE,
-        numbers=(Parameter("Nms2", "N m s2/rad2", "torque d at 1 rad/s", typical_Nms2, prior, size=True),),
+        numbers=(
+            Parameter(
+                "Nms2", "N m s2/rad2", "torque d at 1 rad/s", typical=typical_Nms2, prior=prior, size=True
+            ),
+        ),
         linearisable=True,
         rank=120,
         source=source,
@@ -190,9 +217,13 @@ def _drag_quadratic(axis: str, symbol: str, typical_Nms2: float, prior: Prior, s
 _BROADSIDE: Final = "drag of bodies: the square of the speed; (22) of the paper has it for travel alone"
 
 DRAG_QUADRATIC: Final = (
-    _drag_quadratic(AXES[0], r"\theta", 0.1, Prior(0.0, 0.5, 0.0, 2.0), _BROADSIDE),
-    _drag_quadratic(AXES[1], r"\phi", 0.02, Prior(0.0, 0.1, 0.0, 2.0), _BROADSIDE),
+    _drag_quadratic(AXES[0], r"\theta", 0.1, Prior(mean=0.0, std=0.5, low=0.0, high=2.0), _BROADSIDE),
+    _drag_quadratic(AXES[1], r"\phi", 0.02, Prior(mean=0.0, std=0.1, low=0.0, high=2.0), _BROADSIDE),
     _drag_quadratic(
-        AXES[2], r"\psi", 0.07, Prior(0.0, 0.5, 0.0, 2.0), "(22) of the paper, made to oppose motion"
+        AXES[2],
+        r"\psi",
+        0.07,
+        Prior(mean=0.0, std=0.5, low=0.0, high=2.0),
+        "(22) of the paper, made to oppose motion",
     ),
 )

@@ -79,7 +79,13 @@ def _backlash(axis: str) -> EffectSpec:
         # Without any play the shaft has no memory of which side it lies on, and the size no derivative.
         numbers=(
             Parameter(
-                "rad", "rad", "whole play b", 0.01, Prior(0.0, 0.03, 0.0, 0.3), size=True, neutral=1e-6
+                "rad",
+                "rad",
+                "whole play b",
+                typical=0.01,
+                prior=Prior(mean=0.0, std=0.03, low=0.0, high=0.3),
+                size=True,
+                neutral=1e-6,
             ),
         ),
         states=(Quantity("shaft_rad", "rad", f"angle y of the {axis} encoder's shaft"),),
@@ -118,12 +124,22 @@ def _encoder_eccentricity(axis: str) -> EffectSpec:
         stage=Stage.SHAFT,
         numbers=(
             Parameter(
-                "sin_rad", "rad", "error a with the sine", 0.02, Prior(0.0, 0.02, -0.5, 0.5), size=True
+                "sin_rad",
+                "rad",
+                "error a with the sine",
+                typical=0.02,
+                prior=Prior(mean=0.0, std=0.02, low=-0.5, high=0.5),
+                size=True,
             ),
             Parameter(
-                "cos_rad", "rad", "error b with the cosine", 0.0, Prior(0.0, 0.02, -0.5, 0.5), size=True
+                "cos_rad",
+                "rad",
+                "error b with the cosine",
+                typical=0.0,
+                prior=Prior(mean=0.0, std=0.02, low=-0.5, high=0.5),
+                size=True,
             ),
-            Parameter("order", "count", "periods n a revolution", 1.0, grid=(1.0, 2.0)),
+            Parameter("order", "count", "periods n a revolution", typical=1.0, grid=(1.0, 2.0)),
         ),
         rank=170,
         source="geometry: a disc whose centre is off runs out once a revolution, an oval one twice",
@@ -150,9 +166,20 @@ def _zero_offset(axis: str) -> EffectSpec:
         equation=r"y = q + z",
         acts_on=f"measurement.{axis}",
         stage=Stage.ZERO,
-        numbers=(Parameter("rad", "rad", "offset z", 0.02, Prior(0.0, 0.1, -1.0, 1.0), size=True),),
+        numbers=(
+            Parameter(
+                "rad",
+                "rad",
+                "offset z",
+                typical=0.02,
+                prior=Prior(mean=0.0, std=0.1, low=-1.0, high=1.0),
+                size=True,
+            ),
+        ),
         change=ChangeSpec(
-            (0.03,), f"the {axis} encoder shows {{}} too much", f"the {axis} encoder shows {{}} too little"
+            sizes=(0.03,),
+            positive=f"the {axis} encoder shows {{}} too much",
+            negative=f"the {axis} encoder shows {{}} too little",
         ),
         family=TILTS if axis == "pitch" else None,
         family_numbers={"rad": 1.0} if axis == "pitch" else {},

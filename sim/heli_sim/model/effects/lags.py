@@ -86,7 +86,16 @@ ROTOR_LAG: Final = EffectSpec(
     equation=r"T \dot F_i = F(V_i) - F_i",
     acts_on="thrust",
     stage=Stage.LAG,
-    numbers=(Parameter("s", "s", "time constant T", 0.1, Prior(0.08, 0.06, low=0.0, high=0.6), size=True),),
+    numbers=(
+        Parameter(
+            "s",
+            "s",
+            "time constant T",
+            typical=0.1,
+            prior=Prior(mean=0.08, std=0.06, low=0.0, high=0.6),
+            size=True,
+        ),
+    ),
     states=(
         Quantity("front_N", "N", "thrust that the front rotor has reached"),
         Quantity("back_N", "N", "thrust that the back rotor has reached"),
@@ -160,15 +169,24 @@ ROTOR_SPEED_LAG: Final = EffectSpec(
     acts_on="thrust",
     stage=Stage.SPEED,
     numbers=(
-        Parameter("s", "s", "time constant T", 0.1, Prior(0.08, 0.06, low=0.0, high=0.6), size=True),
+        Parameter(
+            "s",
+            "s",
+            "time constant T",
+            typical=0.1,
+            prior=Prior(mean=0.08, std=0.06, low=0.0, high=0.6),
+            size=True,
+        ),
         Parameter(
             "begins",
             "1",
             "z: 0 where thrust begins with the speed, 1 where it begins at the dead zone",
-            0.0,
+            typical=0.0,
             grid=(0.0, 1.0),
         ),
-        Parameter("pivot_V", "V", "voltage U at which it is the straight line, where V_0 = U / 2", 2.0),
+        Parameter(
+            "pivot_V", "V", "voltage U at which it is the straight line, where V_0 = U / 2", typical=2.0
+        ),
     ),
     states=(
         Quantity("front_V", "V", "speed of the front rotor, as the voltage that holds it"),
@@ -199,8 +217,22 @@ ROTOR_LAG_WITH_DELAY: Final = EffectSpec(
     acts_on="thrust",
     stage=Stage.LAG,
     numbers=(
-        Parameter("lag_s", "s", "time constant T", 0.1, Prior(0.08, 0.06, low=0.0, high=0.6), size=True),
-        Parameter("delay_s", "s", "dead time T_d", 0.01, Prior(0.02, 0.03, low=0.0, high=0.25), size=True),
+        Parameter(
+            "lag_s",
+            "s",
+            "time constant T",
+            typical=0.1,
+            prior=Prior(mean=0.08, std=0.06, low=0.0, high=0.6),
+            size=True,
+        ),
+        Parameter(
+            "delay_s",
+            "s",
+            "dead time T_d",
+            typical=0.01,
+            prior=Prior(mean=0.02, std=0.03, low=0.0, high=0.25),
+            size=True,
+        ),
     ),
     states=ROTOR_LAG.states,
     delay="delay_s",
@@ -225,7 +257,16 @@ INPUT_DELAY: Final = EffectSpec(
     equation=r"V_i \to V_i(t - T_d)",
     acts_on="input",
     stage=Stage.CURVE,
-    numbers=(Parameter("s", "s", "delay T_d", 0.02, Prior(0.02, 0.03, low=0.0, high=0.25), size=True),),
+    numbers=(
+        Parameter(
+            "s",
+            "s",
+            "delay T_d",
+            typical=0.02,
+            prior=Prior(mean=0.02, std=0.03, low=0.0, high=0.25),
+            size=True,
+        ),
+    ),
     delay="s",
     linearisable=True,
     rank=20,

@@ -89,8 +89,8 @@ def _coulomb_friction(axis: str, typical_Nm: float) -> EffectSpec:
                 "Nm",
                 "N m",
                 "torque c",
-                typical_Nm,
-                Prior(0.0, 3 * typical_Nm, 0.0, 0.5),
+                typical=typical_Nm,
+                prior=Prior(mean=0.0, std=3 * typical_Nm, low=0.0, high=0.5),
                 size=True,
                 neutral=1e-14,
             ),
@@ -98,14 +98,14 @@ def _coulomb_friction(axis: str, typical_Nm: float) -> EffectSpec:
                 "hold_s",
                 "s",
                 "time T within which it brings the axis to rest",
-                0.01,
-                Prior(0.008, 0.005, low=0.004, high=0.05),
+                typical=0.01,
+                prior=Prior(mean=0.008, std=0.005, low=0.004, high=0.05),
             ),
         ),
         change=ChangeSpec(
-            (2.0 * typical_Nm,),
-            f"the {axis} axis has {{}} more dry friction",
-            f"the {axis} axis has {{}} less dry friction",
+            sizes=(2.0 * typical_Nm,),
+            positive=f"the {axis} axis has {{}} more dry friction",
+            negative=f"the {axis} axis has {{}} less dry friction",
         ),
         rank=110,
         source=(
@@ -146,15 +146,26 @@ def _cable_spring(axis: str) -> EffectSpec:
         stage=Stage.TORQUE,
         numbers=(
             Parameter(
-                "Nm_per_rad", "N m/rad", "stiffness k", 0.05, Prior(0.0, 0.5, low=-2.0, high=5.0), size=True
+                "Nm_per_rad",
+                "N m/rad",
+                "stiffness k",
+                typical=0.05,
+                prior=Prior(mean=0.0, std=0.5, low=-2.0, high=5.0),
+                size=True,
             ),
-            Parameter("rest_rad", "rad", "rest angle q_0", 0.0, Prior(0.0, 0.5, low=-6.3, high=6.3)),
+            Parameter(
+                "rest_rad",
+                "rad",
+                "rest angle q_0",
+                typical=0.0,
+                prior=Prior(mean=0.0, std=0.5, low=-6.3, high=6.3),
+            ),
         ),
         linearisable=True,
         change=ChangeSpec(
-            (0.1, 0.03),
-            f"a cable pulls {axis} with {{}}",
-            f"a cable pushes {axis} with {{}}",
+            sizes=(0.1, 0.03),
+            positive=f"a cable pulls {axis} with {{}}",
+            negative=f"a cable pushes {axis} with {{}}",
             # About an angle at rest a cable is a stiffness and a constant torque.
             numbers=(f"cable_spring_{axis}_Nm_per_rad", f"torque_{axis}"),
         ),
@@ -217,8 +228,22 @@ AXIS_TILT: Final = EffectSpec(
     acts_on="torque.travel",
     stage=Stage.TORQUE,
     numbers=(
-        Parameter("x_rad", "rad", "lean a_x towards the arm", 0.03, Prior(0.0, 0.1, -0.5, 0.5), size=True),
-        Parameter("y_rad", "rad", "lean a_y across the arm", 0.0, Prior(0.0, 0.1, -0.5, 0.5), size=True),
+        Parameter(
+            "x_rad",
+            "rad",
+            "lean a_x towards the arm",
+            typical=0.03,
+            prior=Prior(mean=0.0, std=0.1, low=-0.5, high=0.5),
+            size=True,
+        ),
+        Parameter(
+            "y_rad",
+            "rad",
+            "lean a_y across the arm",
+            typical=0.0,
+            prior=Prior(mean=0.0, std=0.1, low=-0.5, high=0.5),
+            size=True,
+        ),
     ),
     needs=("M_f", "M_b", "M_w", "M_h", "M_l", "L_a", "L_b", "L_h", "L_phi", "L_theta", "L_x", "g"),
     linearisable=True,
@@ -246,16 +271,23 @@ COUNTERWEIGHT_SHIFT: Final = EffectSpec(
     stage=Stage.TORQUE,
     numbers=(
         Parameter(
-            "m", "m", "distance Delta, outwards", 0.005, Prior(0.0, 0.03, low=-0.1, high=0.1), size=True
+            "m",
+            "m",
+            "distance Delta, outwards",
+            typical=0.005,
+            prior=Prior(mean=0.0, std=0.03, low=-0.1, high=0.1),
+            size=True,
         ),
-        Parameter("at_s", "s", "moment t_0", 20.0, Prior(30.0, 60.0, low=0.0), grid=moments_s),
+        Parameter(
+            "at_s", "s", "moment t_0", typical=20.0, prior=Prior(mean=30.0, std=60.0, low=0.0), grid=moments_s
+        ),
     ),
     needs=("L_b", "M_w"),
     time_varying=True,
     change=ChangeSpec(
-        (0.01,),
-        "the counterweight slipped by {} outwards",
-        "the counterweight slipped by {} inwards",
+        sizes=(0.01,),
+        positive="the counterweight slipped by {} outwards",
+        negative="the counterweight slipped by {} inwards",
     ),
     rank=150,
     source="definition; no flight distinguishes a shift from a mass that falls off",
@@ -286,7 +318,7 @@ def _frequencies_Hz(seconds: float) -> tuple[float, ...]:
 
 
 def _periodic_torque(axis: str, typical_Nm: float) -> EffectSpec:
-    wide = Prior(0.0, 2 * typical_Nm, -1.0, 1.0)
+    wide = Prior(mean=0.0, std=2 * typical_Nm, low=-1.0, high=1.0)
     return EffectSpec(
         id=f"periodic_torque.{axis}",
         effect=PeriodicTorque,
@@ -295,10 +327,15 @@ def _periodic_torque(axis: str, typical_Nm: float) -> EffectSpec:
         acts_on=f"torque.{axis}",
         stage=Stage.TORQUE,
         numbers=(
-            Parameter("sin_Nm", "N m", "amplitude a of the sine", typical_Nm, wide, size=True),
-            Parameter("cos_Nm", "N m", "amplitude b of the cosine", 0.0, wide, size=True),
+            Parameter("sin_Nm", "N m", "amplitude a of the sine", typical=typical_Nm, prior=wide, size=True),
+            Parameter("cos_Nm", "N m", "amplitude b of the cosine", typical=0.0, prior=wide, size=True),
             Parameter(
-                "Hz", "Hz", "frequency f", 0.5, Prior(0.5, 2.0, low=0.01, high=20.0), grid=_frequencies_Hz
+                "Hz",
+                "Hz",
+                "frequency f",
+                typical=0.5,
+                prior=Prior(mean=0.5, std=2.0, low=0.01, high=20.0),
+                grid=_frequencies_Hz,
             ),
         ),
         rank=190,
@@ -346,11 +383,17 @@ def _random_torque(axis: str, typical_Nm: float) -> EffectSpec:
                 "Nm",
                 "N m",
                 "standard deviation sigma",
-                typical_Nm,
-                Prior(0.0, typical_Nm, 0.0, 2.0),
+                typical=typical_Nm,
+                prior=Prior(mean=0.0, std=typical_Nm, low=0.0, high=2.0),
                 size=True,
             ),
-            Parameter("s", "s", "time T over which it forgets", 0.5, Prior(0.5, 0.5, low=0.02, high=20.0)),
+            Parameter(
+                "s",
+                "s",
+                "time T over which it forgets",
+                typical=0.5,
+                prior=Prior(mean=0.5, std=0.5, low=0.02, high=20.0),
+            ),
         ),
         states=(Quantity("now_Nm", "N m", f"random torque d on the {axis} axis"),),
         noise_inputs=1,

@@ -127,7 +127,7 @@ export class Host {
     if (result === NAMES.result.bad_state) return new HeliError(`${head}not allowed in state ${nameOf("state", detail)}`, STATE_REMEDIES[nameOf("state", detail)] ?? "land first, or stop the motors");
     if (result === NAMES.result.check_failed && fault) return new HeliError(`${head}${fault.name}: ${fault.meaning}${fault.parameter ? ` (limit: ${fault.parameter}, now ${+value.toPrecision(4)})` : ""}`, fault.remedy);
     const spec = this.facts.hello.parameters[detail];
-    if (result === NAMES.result.out_of_range && spec) return new HeliError(`${head}${spec.name} is out of its range`, `it takes ${spec.takes}`);
+    if (result === NAMES.result.out_of_range && spec) return new HeliError(`${head}${spec.name} is out of its range`, `give ${spec.valid_values}`);
     if (result === NAMES.result.unsafe_now && spec) return new HeliError(`${head}${spec.name} can be changed only while idle`, "land first");
     return new HeliError(`${head}${nameOf("result", result)}`, "see docs/reference/link.md");
   }
@@ -250,7 +250,7 @@ export class Host {
     const index = this.facts.hello.parameters.findIndex((spec) => spec.name === name), before = this.params[name];
     if (index < 0) throw new HeliError(`unknown parameter ${name}`, "choose a name from the list");
     const spec = this.facts.hello.parameters[index];
-    if (!Number.isFinite(value) || value < spec.min || value > spec.max) throw new HeliError(`${name} = ${value} is out of range`, `it takes ${spec.takes}`);
+    if (!Number.isFinite(value) || value < spec.min || value > spec.max) throw new HeliError(`${name} = ${value} is out of range`, `give ${spec.valid_values}`);
     const { message } = yield* this.command("param_set", { index, value });
     this.params[name] = shortest(message.value);
     return before;

@@ -86,7 +86,7 @@ def fly(
         flown = fly_plans(options, [load_plan(plan) for plan in named], plan_names=named)
     flown.report()
     flown.write()
-    flown.end()
+    flown.raise_if_not_completed()
 
 
 def _refuse_with_again(again: Path, options: FlightOptions, plans: Sequence[str]) -> None:

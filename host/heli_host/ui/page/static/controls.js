@@ -274,7 +274,7 @@ export class Controls {
   buildParameters() {
     this.rows.clear();
     $("parameter-list").replaceChildren(...[...this.hello.parameters].sort((a, b) => a.idle_only - b.idle_only).map((spec) => {
-      const input = element("input", { type: "number", step: "any", id: `p-${spec.name}`, title: `${spec.meaning}; takes ${spec.takes}` });
+      const input = element("input", { type: "number", step: "any", id: `p-${spec.name}`, title: `${spec.meaning}; valid: ${spec.valid_values}` });
       const why = element("span", { className: "why" });
       const row = element("div", { className: "parameter", title: spec.meaning }, element("label", { htmlFor: input.id }, spec.name), input, element("span", {}, spec.unit), why);
       input.addEventListener("change", async () => {
