@@ -325,6 +325,18 @@ class Tried:
         return ", ".join(text for text, good in checks.items() if not good)
 
 
+def _wait_until_calm(heli: heli_host.Heli, elevation_deg: float, travel_deg: float) -> None:
+    """Wait until the arm has stayed near its setpoints for two seconds, but at most for `CALM_s`."""
+    near_deg = LOW_ERROR_deg if elevation_deg < LOW_deg else 1.0
+    for _ in range(round(CALM_s / 2.0)):
+        heli.wait(2.0)
+        newest = heli.samples(last_s=2.0)
+        elevation_error_deg = np.abs(np.degrees(newest.elevation_rad) - elevation_deg).max()
+        travel_error_deg = np.abs(np.degrees(newest.travel_rad) - travel_deg).max()
+        if elevation_error_deg < near_deg and travel_error_deg < 2.0:
+            return
+
+
 def tries(name: str, rig: str, seed: int, after: Callable[[heli_host.Heli], None] | None = None) -> Tried:
     """Fly a hostile law at setpoints that the seed draws of all that there are.
 
@@ -343,7 +355,7 @@ def tries(name: str, rig: str, seed: int, after: Callable[[heli_host.Heli], None
         taken_over = "no"
         try:
             taken_over = heli.fly_law(law.program, duration_s=LONGEST_s).taken_over
-            heli.wait(CALM_s)
+            _wait_until_calm(heli, max(elevation_deg, HANGS_deg), travel_deg)
         except heli_host.HeliError as error:
             taken_over = str(error)
         since = heli.samples(last_s=LONGEST_s + 2.0 * CALM_s)
