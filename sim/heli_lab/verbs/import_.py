@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -54,7 +54,7 @@ def import_(
     rate: Annotated[
         float | None,
         typer.Option(
-            "--rate", metavar="HZ", min=1.0, help="Assume this sampling rate in Hz for files without times."
+            "--rate", metavar="HZ", min=1.0, help="Use this sampling rate in Hz, and no times of the files."
         ),
     ] = None,
     one_flight: Annotated[
@@ -88,7 +88,10 @@ def import_(
     known_rig = load_rig(rig) if rig is not None else None
     sources = _read_sources(files, output, one_flight=one_flight)
     if not guess and profile is not None:
-        write_result(json, {"flights": _write_flights(sources, read_profile(profile))})
+        given = read_profile(profile)
+        if rate is not None:
+            given = replace(given, time="", rate_Hz=rate)
+        write_result(json, _write_flights(sources, given))
         return
     guesses = _guess_profiles([source.table for source in sources], known_rig, rate, profile)
     # All files are from one program, and have the same profile.
@@ -111,14 +114,14 @@ def import_(
         "files": [str(path) for path in output_files],
     }
     if ambiguities and not force:
-        write_result(json, {**content, "flights": []})
+        write_result(json, {**content, "flights": [], "rows": []})
         from heli_lab.errors import UnsureGuess
 
         raise UnsureGuess(
             f"unsure of {', '.join(sentence_by_subject)}: no flight was written",
             f"correct {profile_path} and import with --profile, or use it unchanged with --force",
         )
-    write_result(json, {**content, "flights": _write_flights(sources, best.profile)})
+    write_result(json, {**content, **_write_flights(sources, best.profile)})
 
 
 @dataclass(frozen=True)
@@ -211,15 +214,19 @@ def _draw_evidence(guess: Guess, table: Table, path: Path) -> Path:
     return draw(guess, max(flights_of(table, guess.profile), key=len), path)
 
 
-def _write_flights(sources: Sequence[_Source], profile: Profile) -> list[dict[str, Any]]:
-    """Write each flight of the sources as CSV; return file, rows and duration [s] of each as JSON objects."""
+def _write_flights(sources: Sequence[_Source], profile: Profile) -> dict[str, Any]:
+    """Write each flight of the sources as CSV; return the flights, and the changed rows of each source, for
+    JSON.
+    """
     from heli_host.data.flight import check_flight
     from heli_host.data.log.table import write_csv
-    from heli_host.data.tables import flights_of
+    from heli_host.data.tables import convert
 
     flight_objects: list[dict[str, Any]] = []
+    row_objects: list[dict[str, Any]] = []
     for source in sources:
-        flights = flights_of(source.table, profile)
+        conversion = convert(source.table, profile)
+        flights = conversion.flights
         for number, flight in enumerate(flights, 1):
             check_flight(flight, source.table.source)
             path = source.target.path(number if len(flights) > 1 else None)
@@ -229,7 +236,18 @@ def _write_flights(sources: Sequence[_Source], profile: Profile) -> list[dict[st
                 if note in flight.meta:
                     say(f"  {note}: {flight.meta[note]}")
             flight_objects.append({"file": str(path), "rows": len(flight), "duration_s": flight.duration_s})
-    return flight_objects
+        say(f"{source.path.name}: {conversion.file_rows} rows in the file")
+        say(*(f"  {change.sentence()}" for change in conversion.changes))
+        if conversion.unexplained_rows:
+            say(f"  {conversion.unexplained_rows:+d} rows for an unknown reason; please report this")
+        row_objects.append(
+            {
+                "file": str(source.path),
+                "rows": conversion.file_rows,
+                "changes": [asdict(change) for change in conversion.changes],
+            }
+        )
+    return {"flights": flight_objects, "rows": row_objects}
 
 
 VERB = Verb(import_, "Logs", variadic=False)

@@ -5,7 +5,7 @@
 Does not belong here: guesses about columns, which need a model; the logs of this package.
 """
 
-from heli_host.data.tables.convert import flights_of
+from heli_host.data.tables.convert import Conversion, convert, flights_of
 from heli_host.data.tables.profile import (
     Angle,
     Part,
@@ -17,16 +17,19 @@ from heli_host.data.tables.profile import (
     read_profile,
 )
 from heli_host.data.tables.read import KINDS, read_table
-from heli_host.data.tables.table import Column, Table
+from heli_host.data.tables.table import Column, RowChange, Table
 
 __all__ = [
     "KINDS",
     "Angle",
     "Column",
+    "Conversion",
     "Part",
     "Profile",
+    "RowChange",
     "Table",
     "Voltage",
+    "convert",
     "flights_of",
     "profile_of",
     "profile_text",

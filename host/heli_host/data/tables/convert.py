@@ -6,14 +6,16 @@ import difflib
 import itertools
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.data.tables.profile import MOTORS, Angle, Part, Profile, Voltage
-from heli_host.data.tables.table import COUNT, TIME_UNITS, Table
+from heli_host.data.tables.rows import equal_runs, settle_blank_cells, timed_rows
+from heli_host.data.tables.table import COUNT, RowChange, Table
+from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
 
 UNEVEN = 0.02
@@ -35,6 +37,20 @@ The limits were set by judgement: no such arm turns by 600 deg/s, and 8 deg is a
 encoder. Lower limits would cut fast logs at a lost row; higher limits would keep jumps, which no model
 explains.
 """
+_SPIKE_RATIO: Final = 5.0
+"""Size of a voltage, as a multiple of its 99 % quantile, from which a single row is damaged. Commands before
+their limit are at most some three times as large as usual."""
+_STAND_S: Final = 0.3
+_LONG_STAND_S: Final = 2.0
+"""Shortest part [s] in which a failed link repeats all angles: with a jump after it, and at the file's end.
+A hovering simulation without disturbances may repeat its counts for a second."""
+_STAND_JUMPS: Final = 2.0
+"""Step after such a part, as a multiple of the largest usual one (99 %)."""
+_ALOFT_DEG: Final = 5.0
+"""Height above the lowest elevation from which the arm is in the air [deg]; the table is about 25 deg below
+level."""
+_OFF_SHARE: Final = 0.02
+"""Share of the largest voltage below which the motors are off."""
 
 
 @dataclass(frozen=True)
@@ -54,34 +70,159 @@ class _Rows:
         )
 
 
+@dataclass(frozen=True)
+class Conversion:
+    """Flights of a file, and all rows that were changed on the way."""
+
+    flights: tuple[Flight, ...]  # In the order of the file
+    changes: tuple[RowChange, ...]  # Rows that were left out, filled in or moved
+    file_rows: int  # Rows of the file, before all changes
+
+    @property
+    def unexplained_rows(self) -> int:
+        """Rows of the flights that neither the file nor a change explains; 0 if all changes are counted."""
+        flown = sum(len(flight) for flight in self.flights)
+        return flown - self.file_rows - sum(change.added for change in self.changes)
+
+
 def flights_of(table: Table, profile: Profile) -> list[Flight]:
     """Convert a table to flights: one, or several if gaps, jumps or the profile divide it."""
-    table = table.aligned()
-    rows = _read_rows(table, profile)
+    return list(convert(table, profile).flights)
+
+
+def convert(table: Table, profile: Profile) -> Conversion:
+    """Convert a table to flights, and count every row that is left out, filled in or moved."""
+    table, t_s = _settled(table, profile)
+    file_rows = len(table) - sum(change.added for change in table.changes)
+    rows = _read_rows(table, profile, t_s)
     if profile.mirrored:
         rows = _mirrored(rows)
-    rows = _complete_rows(rows, table.source)
+    rows, changes = _complete_rows(rows, table, profile)
     if profile.act == "before":
         rows = _with_voltages_of_next_row(rows)
     part = profile.parts.get(Path(table.source).name, Part())
     jumps = _find_jumps(rows)
-    flights = []
-    for stretch in _usable_stretches(rows.t_s, part, [*jumps], table.source):
+    flights: list[Flight] = []
+    resampled: list[_Resampling] = []
+    stretches, lost = _usable_stretches(rows.t_s, part, [*jumps], table.source)
+    for stretch in stretches:
         recorded = rows.selected(stretch)
         even = _evenly_sampled(recorded)
+        resampled.append(_Resampling(recorded.t_s, even.t_s))
         notes = _notes_of_file(table, part)
-        if stretch.start in jumps:
-            notes["cut"] = jumps[stretch.start]
+        if stretch.start:
+            notes["cut"] = jumps.get(stretch.start) or _break_note(rows.t_s, stretch.start)
         notes |= _gap_note(recorded.t_s, len(even.t_s))
         voltages_V = {f"{motor}_V": volts for motor, volts in even.voltages_V.items()}
         columns: dict[str, Any] = {**voltages_V, **even.angles_rad}
         flights.append(Flight(t_s=even.t_s, meta=notes, **columns))
-    return flights
+    changes = [*table.changes, *changes, *lost, *_resampling_changes(resampled)]
+    if changes:
+        text = "; ".join(change.sentence() for change in changes)
+        flights = [replace(flight, meta={**flight.meta, "rows of the file": text}) for flight in flights]
+    return Conversion(tuple(flights), tuple(changes), file_rows)
 
 
-def _read_rows(table: Table, profile: Profile) -> _Rows:
-    """Return times, angles, setpoints and voltages of all rows; values that the table lacks are nan."""
-    t_s = times_of(table, profile)
+def _settled(table: Table, profile: Profile) -> tuple[Table, Floats]:
+    """Return the rows with times [s] and all columns of a profile, in order, with what was done to them."""
+    angles = frozenset(angle.column for angle in profile.angles.values())
+    setpoints = frozenset(angle.column for angle in profile.setpoints.values())
+    voltages = frozenset(voltage.column for voltage in profile.voltages.values())
+    for name in (*angles, *setpoints, *voltages):
+        _values_of_column(table, name)
+    table, t_s = _timed(table.aligned(angles | setpoints), profile)
+    table, t_s = settle_blank_cells(table, t_s, voltages, angles | setpoints, MAX_MISSING)
+    if len(table) < MIN_ROWS:
+        raise _too_few_rows(table, profile)
+    return _without_spikes(table, t_s, profile)
+
+
+def _timed(table: Table, profile: Profile) -> tuple[Table, Floats]:
+    """Return the rows of a table in the order of their times, with these times [s], shape (n,).
+
+    They keep the start of the file, except that large times, such as seconds since 1970, start at 0.
+    """
+    if not profile.time:
+        return table, np.arange(len(table)) / profile.rate_Hz
+    _values_of_column(table, profile.time)
+    timed = timed_rows(table, profile.time, profile.time_unit)
+    # A printed table would lose the microseconds of seconds since 1970.
+    is_epoch = abs(float(timed.t_s[0])) > 1e5
+    return timed.table, timed.t_s - (timed.t_s[0] if is_epoch else 0.0)
+
+
+def times_of(table: Table, profile: Profile) -> Floats:
+    """Return the times of a table's rows [s] after their repair, shape (n,)."""
+    return _timed(table, profile)[1]
+
+
+def _too_few_rows(table: Table, profile: Profile) -> FlightDataError:
+    """Describe a table without enough complete rows, with what was left out."""
+    reasons = "; ".join(change.sentence() for change in table.changes) or "the file is too short"
+    entries: list[Angle | Voltage] = [*profile.angles.values(), *profile.voltages.values()]
+    return FlightDataError(
+        f"{table.source}: fewer than {MIN_ROWS} rows have a time and a number in "
+        f"{', '.join(repr(entry.column) for entry in entries)} ({reasons})",
+        "correct the columns in the profile, or the named rows of the file",
+    )
+
+
+def _without_spikes(table: Table, t_s: Floats, profile: Profile) -> tuple[Table, Floats]:
+    """Leave out rows in which a value jumps away and back, as damaged digits do; no arm moves like that."""
+    is_spike = np.zeros(t_s.size, bool)
+    names: list[str] = []
+    for angle in profile.angles.values():
+        angle_rad = angle.rad * table.columns[angle.column].values
+        turn_rad = WORD * angle.rad if angle.unit == COUNT else 2.0 * np.pi
+        spikes = _spikes(angle_rad, t_s, turn_rad)
+        if spikes.any():
+            names.append(angle.column)
+        is_spike |= spikes
+    for voltage in profile.voltages.values():
+        size = np.abs(table.columns[voltage.column].values)
+        spikes = size > _SPIKE_RATIO * max(float(np.quantile(size, 0.99)), 1e-12)
+        spikes &= ~(np.roll(spikes, 1) & np.roll(spikes, -1))
+        if spikes.any():
+            names.append(voltage.column)
+        is_spike |= spikes
+    if not is_spike.any():
+        return table, t_s
+    first_s = float(t_s[int(np.argmax(is_spike))])
+    change = RowChange(
+        "left out",
+        int(is_spike.sum()),
+        f"with a value in {' or '.join(map(repr, names))} that jumps and returns (first at {first_s:.3f} s)",
+    )
+    kept = np.flatnonzero(~is_spike)
+    return table.selected(kept, [change]), t_s[kept]
+
+
+def _spikes(angle_rad: Floats, t_s: Floats, turn_rad: float) -> Booleans:
+    """Mark single rows, or two in a row, at which an angle jumps away and back. Shapes: `t_s` (n,); returns
+    (n,).
+    """
+    result = np.zeros(angle_rad.size, bool)
+    for width in (1, 2):
+        if angle_rad.size < width + 2:
+            continue
+        before, after = angle_rad[: -width - 1], angle_rad[width + 1 :]
+        limit_rad = np.radians(np.maximum(_JUMP_DEG, _JUMP_DEG_S * np.abs(np.diff(t_s)[: before.size])))
+        away = angle_rad[1:-width] - before
+        # At a wrap, an angle may jump to and fro by a turn.
+        is_wrap = np.abs(away - turn_rad * np.round(away / turn_rad)) < limit_rad
+        last = angle_rad[width:-1]
+        jumps = (np.abs(away) > limit_rad) & (np.abs(after - last) > limit_rad) & ~is_wrap
+        jumps &= np.abs(after - before) < 0.5 * limit_rad
+        for offset in range(1, width + 1):
+            result[offset : offset + jumps.size] |= jumps
+    return result
+
+
+def _read_rows(table: Table, profile: Profile, t_s: Floats) -> _Rows:
+    """Return times, angles, setpoints and voltages of all rows; values that a delay shifts away are nan.
+
+    Shapes: `t_s` (n,).
+    """
     angles_rad = {
         f"{axis}{suffix}": _angle_rad_of(table, angle, t_s, axis == TRAVEL)
         for suffix, angles in (("_rad", profile.angles), ("_setpoint_rad", profile.setpoints))
@@ -108,21 +249,58 @@ def _mirrored(rows: _Rows) -> _Rows:
     )
 
 
-def _complete_rows(rows: _Rows, source: str) -> _Rows:
-    """Return the rows that have time, all angles and both voltages; a row that repeats a time is dropped.
-
-    A time that falls begins another flight, see `_usable_stretches`.
-    """
+def _complete_rows(rows: _Rows, table: Table, profile: Profile) -> tuple[_Rows, list[RowChange]]:
+    """Return the rows whose values are all measured, and the reasons for which others are left out."""
+    changes = []
     columns = np.array([rows.t_s, *rows.angles_rad.values(), *rows.voltages_V.values()])
-    complete = rows.selected(np.asarray(np.isfinite(columns).all(axis=0)))
-    complete = complete.selected(np.diff(complete.t_s, prepend=np.nan) != 0.0)
-    count = complete.t_s.size
-    if count < MIN_ROWS:
-        raise FlightDataError(
-            f"{source}: only {count} rows with all of time, angles and voltages",
-            "check the profile's columns",
-        )
-    return complete
+    is_complete = np.asarray(np.isfinite(columns).all(axis=0))
+    if not is_complete.all():
+        lost = int((~is_complete).sum())
+        changes.append(RowChange("left out", lost, "at an end, because a column was moved by its delay"))
+    rows = rows.selected(is_complete)
+    stands = _standing(rows)
+    if stands.any():
+        changes.append(_standing_change(rows.t_s, stands))
+    rows = rows.selected(~stands)
+    if rows.t_s.size < MIN_ROWS:
+        raise _too_few_rows(replace(table, changes=(*table.changes, *changes)), profile)
+    return rows, changes
+
+
+def _standing(rows: _Rows) -> Booleans:
+    """Mark rows that a failed link repeats: all angles stay, although the motors work.
+
+    After such a part, an angle jumps to where the arm has gone meanwhile. At the end of a file, a long part
+    in the air counts without a jump. A rig may hover still for a moment.
+    """
+    t_s = rows.t_s
+    angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
+    volts = np.column_stack(list(rows.voltages_V.values()))
+    result = np.zeros(t_s.size, bool)
+    step_rad = np.abs(np.diff(angles, axis=0))
+    usual_rad = np.quantile(step_rad, 0.99, axis=0) if t_s.size > 1 else np.zeros(3)
+    lowest_rad, largest_V = angles[:, 0].min(initial=np.inf), np.abs(volts).max(initial=0.0)
+    for start, stop in equal_runs(t_s, angles):
+        length_s = float(t_s[stop - 1] - t_s[start])
+        if length_s < _STAND_S or np.abs(volts[start:stop]).max() < _OFF_SHARE * largest_V:
+            continue
+        jumps = stop < t_s.size and bool((step_rad[stop - 1] > _STAND_JUMPS * usual_rad).any())
+        is_aloft = np.degrees(angles[start, 0] - lowest_rad) > _ALOFT_DEG
+        if jumps or (stop == t_s.size and length_s > _LONG_STAND_S and is_aloft):
+            result[start + 1 : stop] = True
+    return result
+
+
+def _standing_change(t_s: Floats, stands: Booleans) -> RowChange:
+    """Describe rows that a failed link repeats."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], stands.astype(int), [0]))))
+    spans = [f"{t_s[a - 1]:.3f} to {t_s[b - 1]:.3f} s" for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    more = f" and {len(spans) - 4} other parts" if len(spans) > 4 else ""
+    return RowChange(
+        "left out",
+        int(stands.sum()),
+        f"in which all angles stand still although the motors work ({', '.join(spans[:4])}{more})",
+    )
 
 
 def _with_voltages_of_next_row(rows: _Rows) -> _Rows:
@@ -141,6 +319,54 @@ def _notes_of_file(table: Table, part: Part) -> dict[str, str]:
     if table.notes:
         notes["notes of the file"] = " / ".join(table.notes.split("\n"))
     return notes
+
+
+@dataclass(frozen=True)
+class _Resampling:
+    """Rows of a flight before and after they were brought to even times."""
+
+    t_s: Floats  # (n,): Times of the rows of the file
+    even_s: Floats  # (k,): Times of the rows of the flight
+
+    @property
+    def gaps_s(self) -> Floats:
+        """Gaps in which rows are missing [s]."""
+        steps_s = np.diff(self.t_s)
+        return steps_s[steps_s >= _GAP_STEPS * np.median(steps_s)]
+
+    @property
+    def missing(self) -> int:
+        """How many rows are missing in the gaps."""
+        return int(np.round(self.gaps_s / np.median(np.diff(self.t_s)) - 1.0).sum())
+
+    @property
+    def is_uneven(self) -> bool:
+        """Whether rows were moved, and not only filled in."""
+        return self.even_s.size != self.t_s.size + self.missing or (
+            not self.missing and not np.array_equal(self.even_s, self.t_s)
+        )
+
+
+def _resampling_changes(parts: list[_Resampling]) -> list[RowChange]:
+    """Describe the rows that even times added to the flights, or took from them."""
+    missing, gaps = sum(part.missing for part in parts), sum(part.gaps_s.size for part in parts)
+    changes = [RowChange("filled", missing, f"that were missing in {gaps} gaps")] if missing else []
+    uneven = [part for part in parts if part.is_uneven]
+    if uneven:
+        rows = sum(part.t_s.size + part.missing for part in uneven)
+        even = sum(part.even_s.size for part in uneven)
+        rate_Hz = 1.0 / float(np.mean(np.diff(uneven[0].even_s)))
+        text = f"{rows} rows at uneven times to {even} rows at {rate_Hz:.6g} Hz"
+        changes.append(RowChange("resampled", even - rows, text))
+    return changes
+
+
+def _break_note(t_s: Floats, row: int) -> str:
+    """Describe why a flight begins at a `row` without a jump of an angle."""
+    before_s, after_s = t_s[row - 1], t_s[row]
+    if after_s < before_s:
+        return f"the time falls from {before_s:.3f} to {after_s:.3f} s"
+    return f"rows are missing from {before_s:.3f} to {after_s:.3f} s"
 
 
 def _find_jumps(rows: _Rows) -> dict[int, str]:
@@ -170,21 +396,6 @@ def _gap_note(t_s: Floats, count: int) -> dict[str, str]:
         "filled": f"{count - t_s.size} missing rows in {gaps.size} gaps, the longest "
         f"{steps_s[longest]:.3f} s at {t_s[longest]:.3f} s"
     }
-
-
-def times_of(table: Table, profile: Profile) -> Floats:
-    """Return the times of a table's rows in s, shape (n,).
-
-    They keep the start of the file, except that large times, such as seconds since 1970, start at 0.
-    """
-    if not profile.time:
-        return np.arange(len(table)) / profile.rate_Hz
-    values = _values_of_column(table, profile.time)
-    first = values[np.isfinite(values)][:1]
-    is_epoch = first.size and abs(float(first[0])) * TIME_UNITS[profile.time_unit] > 1e5
-    # A printed table would lose the microseconds of seconds since 1970.
-    result: Floats = (values - (first[0] if is_epoch else 0.0)) * TIME_UNITS[profile.time_unit]
-    return result
 
 
 def _values_of_column(table: Table, name: str) -> Floats:
@@ -268,8 +479,13 @@ def _evenly_sampled(rows: _Rows) -> _Rows:
     )
 
 
-def _usable_stretches(t_s: Floats, part: Part, jumps: list[int], source: str) -> list[slice]:
-    """Divide the rows at gaps, falling times and `jumps`, without the times that the profile excludes."""
+def _usable_stretches(
+    t_s: Floats, part: Part, jumps: list[int], source: str
+) -> tuple[list[slice], list[RowChange]]:
+    """Divide the rows at gaps, falling times and `jumps`, without the times that the profile excludes.
+
+    Returns the stretches, and the reasons for which rows are in none of them.
+    """
     is_included = np.ones(t_s.size, bool)
     for start_s, stop_s in part.leave_out_s:
         is_included &= (t_s < start_s) | (t_s >= stop_s)
@@ -277,17 +493,35 @@ def _usable_stretches(t_s: Floats, part: Part, jumps: list[int], source: str) ->
     breaks = np.flatnonzero((steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
     breaks = np.union1d(breaks, jumps)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], is_included.astype(int), [0]))))
-    stretches = [
-        slice(int(first), int(after_last))
+    parts = [
+        (int(first), int(after_last))
         for start, stop in zip(edges[::2], edges[1::2], strict=True)
         for first, after_last in itertools.pairwise(
             [start, *breaks[(breaks > start) & (breaks < stop)], stop]
         )
-        if after_last - first >= MIN_ROWS
     ]
-    if not stretches:
+    stretches = [slice(first, after_last) for first, after_last in parts if after_last - first >= MIN_ROWS]
+    changes = []
+    if not is_included.all():
+        changes.append(RowChange("left out", int((~is_included).sum()), "that the profile leaves out"))
+    short = [(first, after_last) for first, after_last in parts if after_last - first < MIN_ROWS]
+    if short:
+        changes.append(
+            RowChange(
+                "left out",
+                sum(after_last - first for first, after_last in short),
+                f"in {len(short)} parts of fewer than {MIN_ROWS} rows between gaps or jumps "
+                f"(first at {t_s[short[0][0]]:.3f} s)",
+            )
+        )
+    if not stretches and part.leave_out_s:
         raise FlightDataError(
             f"{source}: the profile leaves out all rows from {t_s[0]:g} to {t_s[-1]:g} s",
             "shorten leave_out_s in the profile",
         )
-    return stretches
+    if not stretches:
+        raise FlightDataError(
+            f"{source}: no part has {MIN_ROWS} rows without a gap or a jump ({changes[-1].sentence()})",
+            "correct the columns and the unit of the time in the profile",
+        )
+    return stretches, changes

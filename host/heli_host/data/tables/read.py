@@ -25,7 +25,7 @@ from heli_host.data.tables.limits import (
     too_large,
     within_memory,
 )
-from heli_host.data.tables.table import Column, Table, seconds_of, unit_of
+from heli_host.data.tables.table import Column, RowChange, Table, seconds_of, unit_of
 from heli_host.errors import FlightDataError, install_remedy
 
 if TYPE_CHECKING:
@@ -234,6 +234,8 @@ def read_bag(path: Path) -> Table:
             f"{path} is a log of heli-host and needs no import", "give the log itself to the other commands"
         )
     series_by_name: dict[str, tuple[array[float], array[float]]] = {}
+    stamps: dict[str, tuple[array[float], array[float]]] = {}
+    topic_of: dict[str, str] = {}
     folder = path.parent if path.suffix == ".db3" else path
     with within_memory(path):
         try:
@@ -246,11 +248,16 @@ def read_bag(path: Path) -> Table:
                 number_count = 0
                 for count, (connection, recorded_ns, payload) in enumerate(reader.messages(), 1):
                     message = reader.deserialize(payload, connection.msgtype)
-                    t_s = _stamp_s(message) or recorded_ns * 1e-9
+                    recorded_s = recorded_ns * 1e-9
+                    t_s = _stamp_s(message) or recorded_s
+                    stamped, recorded = stamps.setdefault(connection.topic, (array("d"), array("d")))
+                    stamped.append(t_s)
+                    recorded.append(recorded_s)
                     for name, value in _numbers_in_message(connection.topic.strip("/"), message, 0):
                         times, values = series_by_name.setdefault(name, (array("d"), array("d")))
                         times.append(t_s)
                         values.append(value)
+                        topic_of[name] = connection.topic
                         number_count += 2
                     if count > MAX_ROWS:
                         raise too_large(path, f"{MAX_ROWS // 1_000_000} million messages")
@@ -268,7 +275,13 @@ def read_bag(path: Path) -> Table:
                 f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})",
                 "give a bag or an MCAP file; record the flight again if this one is damaged",
             ) from error
-        return _table_of_series(path, series_by_name)
+        delays_s, changes = _clock_differences(stamps)
+        return _table_of_series(
+            path,
+            series_by_name,
+            {name: delays_s.get(topic, 0.0) for name, topic in topic_of.items()},
+            changes,
+        )
 
 
 def _is_log(path: Path) -> bool:
@@ -279,18 +292,53 @@ def _is_log(path: Path) -> bool:
         return LOG_WRITER.encode() in file.read(64)
 
 
+_SAME_CLOCK_s: Final = 0.02
+"""Largest difference between the delays of topics, from their stamps to the recorder, within which they have
+one clock. Messages of one computer arrive within some milliseconds; two computers differ by more."""
+
+
+def _clock_differences(
+    stamps: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+) -> tuple[dict[str, float], list[RowChange]]:
+    """Compare the stamps of each topic with the clock of the recorder.
+
+    If all topics have stamps of one clock, their stamps are the times. Otherwise the stamps are moved to the
+    recorder's clock by the median delay of their topic. Returns this move of each topic [s].
+    """
+    delays_s = {
+        topic: float(np.median(np.subtract(recorded, stamped)))
+        for topic, (stamped, recorded) in stamps.items()
+    }
+    if not delays_s or max(delays_s.values()) - min(delays_s.values()) < _SAME_CLOCK_s:
+        return {}, []
+    differing = ", ".join(f"{topic} by {delay_s:+.3f} s" for topic, delay_s in delays_s.items() if delay_s)
+    rows = max(len(stamped) for stamped, _ in stamps.values())
+    reason = f"of topics with different clocks: moved to the recorder's clock ({differing})"
+    return delays_s, [RowChange("retimed", rows, reason)]
+
+
 def _table_of_series(
-    path: Path, series_by_name: Mapping[str, tuple[Sequence[float], Sequence[float]]]
+    path: Path,
+    series_by_name: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    delays_s: Mapping[str, float],
+    changes: Sequence[RowChange],
 ) -> Table:
     """Return a table of signals, each with its own times [s] since the first of all."""
     columns = {}
-    first_s = min((times[0] for times, _ in series_by_name.values()), default=0.0)
+    first_s = min(
+        (times[0] + delays_s.get(name, 0.0) for name, (times, _) in series_by_name.items()), default=0.0
+    )
+    moved = 0
     for name, (times, values) in series_by_name.items():
-        t_s, indices = np.unique(np.asarray(times, np.float64) - first_s, return_index=True)
-        columns[name] = Column(np.asarray(values, np.float64)[indices], "", t_s)
+        t_s = np.asarray(times, np.float64) + delays_s.get(name, 0.0) - first_s
+        order = np.argsort(t_s, kind="stable")
+        moved = max(moved, int((order != np.arange(t_s.size)).sum()))
+        columns[name] = Column(np.asarray(values, np.float64)[order], "", t_s[order])
     if not columns:
         raise FlightDataError(f"{path} contains no numbers", "give a bag with the angles and the voltages")
-    return Table(str(path), columns)
+    if moved:
+        changes = [*changes, RowChange("reordered", moved, "of the topic with most disorder: sorted by time")]
+    return Table(str(path), columns, changes=tuple(changes))
 
 
 def _stamp_s(message: Any) -> float:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from heli_host.data.arrays import Floats
+from heli_host.data.arrays import Floats, Integers
 from heli_host.errors import FlightDataError
 
 if TYPE_CHECKING:
@@ -32,6 +32,37 @@ class Column:
     rows of the column are those of the table."""
 
 
+_MAX_AGE: Final = 5.0
+"""Age of a signal's last value, in its typical intervals, above which the signal counts as lost. Five rows is
+also the longest gap that a conversion fills."""
+_MAX_PAUSES: Final = 0.01
+"""Share of longer pauses above which a signal is one that programs send only when it changes."""
+
+
+@dataclass(frozen=True)
+class RowChange:
+    """Rows that were changed on the way from a file to a flight, and the reason."""
+
+    action: str
+    """`left out`, `merged`, `filled`, `reordered`, `retimed`, `completed` (blank cells) or `resampled`."""
+    rows: int
+    """Rows that were changed; of `resampled`, the number of rows after it minus the number before it."""
+    reason: str  # Reads on after the number of rows, as in "12 rows ..."
+
+    @property
+    def added(self) -> int:
+        """How many rows more there are after this change."""
+        if self.action in ("left out", "merged"):
+            return -self.rows
+        return self.rows if self.action in ("filled", "resampled") else 0
+
+    def sentence(self) -> str:
+        """Describe the change in one line."""
+        if self.action == "resampled":
+            return f"resampled: {self.reason}"
+        return f"{self.action}: {self.rows} {'row' if self.rows == 1 else 'rows'} {self.reason}"
+
+
 @dataclass(frozen=True)
 class Table:
     """Columns of one file."""
@@ -41,16 +72,23 @@ class Table:
     """Columns by their names in the file, or `column 1` and so on if the file has no names."""
     notes: str = ""  # Notes in the file
     named: bool = True  # Whether the file contains the names
+    changes: tuple[RowChange, ...] = ()  # Rows of the file that were left out or repaired so far
 
     def __len__(self) -> int:
         return max((column.values.size for column in self.columns.values()), default=0)
 
-    def aligned(self) -> Table:
+    def selected(self, rows: Integers, changes: Collection[RowChange]) -> Table:
+        """Return the table with these `rows` only, in their order; its `changes` explain the difference."""
+        columns = {name: Column(column.values[rows], column.unit) for name, column in self.columns.items()}
+        return replace(self, columns=columns, changes=(*self.changes, *changes))
+
+    def aligned(self, interpolated: Collection[str] = ()) -> Table:
         """Bring all columns to the clock of the column with the most rows.
 
-        At each time, the other columns have their last value up to that time. If no column has separate
-        times, the columns are not resampled. Columns shorter than the longest are then omitted, and so are
-        rows of zeros at the end, which come from a buffer that is too long.
+        At each time, the other columns have their last value up to that time, and `interpolated` columns a
+        value on the straight line between the last and the next one. If no column has separate times, the
+        columns are not resampled. Columns shorter than the longest are then omitted, and so are rows of zeros
+        at the end, which come from a buffer that is too long.
         """
         timed = {name: column for name, column in self.columns.items() if column.t_s is not None}
         if not timed:
@@ -59,12 +97,11 @@ class Table:
                 name: column for name, column in self.columns.items() if column.values.size == length
             }
             used_count = _rows_before_trailing_zeros([column.values for column in longest_columns.values()])
-            if used_count < length:
-                longest_columns = {
-                    name: Column(column.values[:used_count], column.unit)
-                    for name, column in longest_columns.items()
-                }
-            return Table(self.source, longest_columns, self.notes, self.named)
+            aligned = replace(self, columns=longest_columns)
+            if used_count == length:
+                return aligned
+            zeros = RowChange("left out", length - used_count, "of zeros at the end")
+            return aligned.selected(np.arange(used_count), [zeros])
         fullest = max(timed.values(), key=lambda column: column.values.size)
         assert fullest.t_s is not None
         start_s = max(
@@ -75,13 +112,32 @@ class Table:
             raise FlightDataError(
                 f"{self.source}: its signals have no common time span", "give the signals of one flight"
             )
+        changes = list(self.changes)
+        if t_s.size < fullest.t_s.size:
+            changes.append(
+                RowChange("left out", fullest.t_s.size - t_s.size, "before the first value of all signals")
+            )
         columns = {SHARED_TIME: Column(t_s - t_s[0], "s")}
         for name, column in timed.items():
             assert column.t_s is not None
             if column.t_s.size:
-                last_rows = np.clip(np.searchsorted(column.t_s, t_s, side="right") - 1, 0, None)
-                columns[name] = Column(column.values[last_rows], column.unit)
-        return Table(self.source, columns, self.notes, self.named)
+                values = _at_times(column.values, column.t_s, t_s, name in interpolated)
+                columns[name] = Column(values, column.unit)
+        return replace(self, columns=columns, changes=tuple(changes))
+
+
+def _at_times(values: Floats, value_times_s: Floats, t_s: Floats, is_interpolated: bool) -> Floats:
+    """Bring a signal to other times; nan where it has no value any more. Shapes: `t_s` (n,); returns (n,)."""
+    last_rows = np.clip(np.searchsorted(value_times_s, t_s, side="right") - 1, 0, None)
+    result: Floats = np.interp(t_s, value_times_s, values) if is_interpolated else values[last_rows]
+    intervals_s = np.diff(value_times_s)
+    if not intervals_s.size:
+        return result
+    longest_s = _MAX_AGE * float(np.median(intervals_s))
+    if float(np.mean(intervals_s > longest_s)) > _MAX_PAUSES:
+        return result
+    current: Floats = np.where(t_s - value_times_s[last_rows] > longest_s, np.nan, result)
+    return current
 
 
 def _rows_before_trailing_zeros(columns: list[Floats]) -> int:
@@ -160,8 +216,14 @@ def split_unit(name: str) -> tuple[str, str]:
     return name, ""
 
 
-_CLOCK: Final = r"^\s*(?:\d{1,3}:)?\d{1,2}:\d{1,2}(?:[.,]\d+)?\s*$"
-_DATE: Final = r"^\s*\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T\s]+\d{1,2}:\d{2}"
+_CLOCK: Final = r"^\s*(?:\d{1,3}:)?\d{1,2}:\d{1,2}(?:[.,:]\d+)?\s*$"
+_DATE: Final = r"^\s*(?:\d{1,4}[-./]\d{1,2}[-./]\d{1,4}|\d{8})[T_\s]+\d{1,2}:?\d{2}"
+_CLOCK_FIRST: Final = r"^\s*\d{1,2}:\d{2}.*(?:[AaPp]\.?[Mm]\.?|\d[-/.]\d{1,2}[-/.]\d+)\s*$"
+"""Times of 12 hours, or before a date."""
+_HAS_DAY: Final = r"\d[-/]\d|\d\.\d+\.\d|\d{8}"
+_COMPACT: Final = r"^(\d{4})(\d{2})(\d{2})[T_\s]+(\d{2}):?(\d{2}):?"
+_MIN_CLOCK_SHARE: Final = 0.8
+"""Share of the cells that must be times: lines may be damaged, and a column of remarks has no times."""
 _DAY_S: Final = 86400.0
 
 
@@ -169,29 +231,52 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
     """Read `cells` such as `13:47:20.125`, `47:20,125` or `2024-01-04 12:58:31.2` as seconds from the first.
     Returns shape (n,).
     """
-    import pandas
-
-    text = cells.astype(str)
-    samples = text.iloc[: min(len(text), 10)]
-    if samples.str.match(_CLOCK).all():
-        fields = (
-            text.str.replace(",", ".").str.split(":", expand=True).apply(pandas.to_numeric, errors="coerce")
-        )
-        # Seconds per unit of each field: 3600, 60, 1 for hours, minutes, seconds.
-        weights = 60.0 ** np.arange(fields.shape[1] - 1, -1, -1)
-        seconds: Floats = fields.to_numpy(np.float64) @ weights
-        is_known = np.isfinite(seconds)
-        day_changes = np.diff(seconds[is_known], prepend=seconds[is_known][:1]) < -0.5 * _DAY_S
-        seconds[is_known] += _DAY_S * np.cumsum(day_changes)
-    elif samples.str.match(_DATE).all():
-        # A date that begins with a year goes on with the month. Other dates begin with the day in most
-        # countries.
-        day_first = not samples.str.match(r"^\s*\d{4}").all()
-        dates = pandas.to_datetime(
-            text.str.replace(",", "."), errors="coerce", dayfirst=day_first, format="mixed", utc=True
-        )
-        seconds = np.asarray((dates - dates.iloc[0]).dt.total_seconds(), dtype=np.float64)
+    # A label before all times, or brackets around them, are no part of them.
+    text = cells.astype(str).str.strip().str.strip("[](){}<>'\"")
+    text = text.str.replace(r"^[A-Za-z]+\s*[=:]\s*", "", regex=True).str.replace(",", ".")
+    samples = text.iloc[:: max(1, len(text) // 50)]
+    if samples.str.match(_CLOCK).mean() >= _MIN_CLOCK_SHARE:
+        seconds, has_day = _clock_seconds(text), False
+    elif samples.str.match(f"{_DATE}|{_CLOCK_FIRST}").mean() >= _MIN_CLOCK_SHARE:
+        seconds = _date_seconds(text, samples)
+        has_day = samples.str.contains(_HAS_DAY).mean() >= _MIN_CLOCK_SHARE
     else:
         return None
-    finite_s = seconds[np.isfinite(seconds)]
-    return seconds - finite_s[0] if finite_s.size else None
+    is_known = np.isfinite(seconds)
+    if not is_known.any():
+        return None
+    if not has_day:
+        day_changes = np.diff(seconds[is_known], prepend=seconds[is_known][:1]) < -0.5 * _DAY_S
+        seconds[is_known] += _DAY_S * np.cumsum(day_changes)
+    result: Floats = seconds - seconds[is_known][0]
+    return result
+
+
+def _clock_seconds(text: pandas.Series) -> Floats:
+    """Read clock times in seconds; nan for another text."""
+    import pandas
+
+    # LabVIEW writes milliseconds after a third colon.
+    text = text.str.replace(r"^(\d+:\d+:\d+):(\d+)$", r"\1.\2", regex=True)
+    fields = text.str.split(":", expand=True).apply(pandas.to_numeric, errors="coerce")
+    counts = fields.notna().sum(axis=1)
+    width = int(counts.mode().iloc[0])
+    # Seconds per unit of each field: 3600, 60, 1 for hours, minutes, seconds.
+    weights = 60.0 ** np.arange(width - 1, -1, -1)
+    numbers: Floats = fields.iloc[:, :width].to_numpy(np.float64)
+    seconds: Floats = np.asarray((numbers * weights).sum(axis=1), np.float64).reshape(-1)
+    seconds[(counts != width).to_numpy()] = np.nan
+    return seconds
+
+
+def _date_seconds(text: pandas.Series, samples: pandas.Series) -> Floats:
+    """Read dates with times in seconds since 1970; nan for another text."""
+    import pandas
+
+    # A date that begins with a year goes on with the month. Other dates begin with the day in most countries.
+    day_first = samples.str.match(r"^\s*\d{4}").mean() < _MIN_CLOCK_SHARE
+    text = text.str.replace(_COMPACT, r"\1-\2-\3T\4:\5:", regex=True)
+    dates = pandas.to_datetime(text, errors="coerce", dayfirst=day_first, format="mixed", utc=True)
+    first = dates.dropna().iloc[:1].min()
+    seconds: Floats = np.array((dates - first).dt.total_seconds(), dtype=np.float64)
+    return seconds

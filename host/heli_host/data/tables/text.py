@@ -11,14 +11,18 @@ import statistics
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from heli_host.data.arrays import Floats
 from heli_host.data.files import read_file
 from heli_host.data.tables.limits import MAX_BYTES, MAX_ROWS, check_columns, too_large
-from heli_host.data.tables.table import Column, Table, seconds_of, unit_of
+from heli_host.data.tables.table import Column, RowChange, Table, seconds_of, unit_of
 from heli_host.errors import FlightDataError, file_remedy
+
+if TYPE_CHECKING:
+    import pandas
 
 _MAX_LINE_CHARACTERS: Final = 1 << 16
 """Longest line: a thousand columns have 20 thousand characters."""
@@ -32,6 +36,18 @@ _EMPTY: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-nan", "inf"
 _HIGH_BYTES: Final = re.compile(rb"[\x80-\xff]+")
 _ENCODING_BYTES: Final = 1 << 16
 """Number of bytes, such as a header, from which the encoding is determined."""
+_SHORT_SHARE: Final = 0.2
+"""Share of rows with equally few cells from which they are complete; damage does not repeat like this."""
+_LABEL_SHARE: Final = 0.9
+"""Share of the cells with the same label, or with separators of thousands; other cells may be damaged."""
+_MIN_DISTINCT: Final = 10
+"""Smallest number of different numbers with a label; names such as `motor2` have few."""
+_THOUSANDS: Final = {
+    ".": r"^[-+]?\d{1,3}(?:[,'\u2019\s\u202f\u00a0]\d{3})+(?:\.\d*)?$",
+    ",": r"^[-+]?\d{1,3}(?:[.'\u2019\s\u202f\u00a0]\d{3})+(?:,\d*)?$",
+}
+"""Numbers with separators of thousands, by decimal mark."""
+_LABELLED: Final = r"^([^\d+\-.]*)([-+]?\d[\d,.']*(?:[eE][-+]?\d+)?)([^\d]*)$"
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
 
 
@@ -71,7 +87,7 @@ def read_text(path: Path) -> Table:
             f"{path}: the file has no row of numbers",
             "give a table with one row per sample, separated by , ; or tabs",
         )
-    width = len(_split_cells(rows[0], dialect))
+    rows, width, changes = _whole_rows(rows, header, dialect)
     check_columns(path, width)
     names, units = _names_and_units(header, dialect, width)
     try:
@@ -85,23 +101,123 @@ def read_text(path: Path) -> Table:
             on_bad_lines="skip",
             low_memory=False,
             skipinitialspace=True,
+            skip_blank_lines=False,
         )
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise FlightDataError(f"{path}: not a table ({reason})", "check its quotes and separators") from error
+    if len(frame) < len(rows):
+        changes.append(RowChange("left out", len(rows) - len(frame), "with unbalanced quotes"))
     columns = {}
     for index, name in enumerate(names):
-        values = pandas.to_numeric(frame[index], errors="coerce").to_numpy(np.float64)
+        values, unit = _numbers_of(frame[index], dialect)
         clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
         if clock_s is not None:
             columns[name] = Column(clock_s, "s")
         elif np.isfinite(values).any():
-            columns[name] = Column(values, units[index])
+            columns[name] = Column(values, units[index] or unit)
     if not columns:
         raise FlightDataError(
             f"{path}: the file has no columns of numbers", "give a table with one row per sample"
         )
-    return Table(str(path), columns, notes, bool(header))
+    return Table(str(path), columns, notes, bool(header), tuple(changes))
+
+
+def _whole_rows(
+    rows: list[str], header: list[str], dialect: Dialect
+) -> tuple[list[str], int, list[RowChange]]:
+    """Leave out the rows that are damaged: return the others, the number of columns, and the changes.
+
+    A row with another number of cells than the table has lost or gained a separator, so its cells are not in
+    their columns. Rows of which many are short by the same number lack only blank cells at their end.
+    """
+    counts = np.array([_cell_count(row, dialect) for row in rows])
+    width = int(statistics.mode(counts.tolist()))
+    header_counts = [_cell_count(line, dialect) for line in header]
+    # A separator at the end of each line makes no column.
+    ends = np.array([row.rstrip(" \r\n").endswith(dialect.separator) for row in rows])
+    has_last_name = any(
+        count == width and not line.rstrip().endswith(dialect.separator)
+        for line, count in zip(header, header_counts, strict=True)
+    )
+    if dialect.separator not in " \t" and ends[counts == width].all() and not has_last_name:
+        counts, width = counts - ends, width - 1
+    # Two rates in one table: the rows of one of them may lack their blank cells at the end.
+    widest = int(counts[counts >= width].max()) if np.mean(counts > width) > _SHORT_SHARE else width
+    if widest in header_counts:
+        width = widest
+    sizes, number = np.unique(counts, return_counts=True)
+    usual_sizes = {int(size) for size in sizes[(sizes <= width) & (number > _SHORT_SHARE * counts.size)]}
+    is_whole = np.isin(counts, [width, *usual_sizes]) | ((counts == width + 1) & ends)
+    changes: list[RowChange] = []
+    if not is_whole.all():
+        bad = np.flatnonzero(~is_whole)
+        changes.append(
+            RowChange(
+                "left out",
+                bad.size,
+                f"whose line is damaged: not {width} cells (first: row {int(bad[0]) + 1} of numbers, "
+                f"{int(counts[bad[0]])} {'cell' if counts[bad[0]] == 1 else 'cells'})",
+            )
+        )
+    return [row for row, whole in zip(rows, is_whole.tolist(), strict=True) if whole], width, changes
+
+
+def _cell_count(line: str, dialect: Dialect) -> int:
+    """Count the cells of a line, with a blank one at its end."""
+    if dialect.separator == " ":
+        return len(line.split())
+    if '"' in line:
+        return len(
+            next(csv.reader([line.strip(" \r\n")], delimiter=dialect.separator, skipinitialspace=True), [])
+        )
+    return line.count(dialect.separator) + 1
+
+
+def _numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
+    """Return the numbers of a column, and a unit that its cells state.
+
+    Cells may have separators of thousands, as in `1,204.5`, or all the same label and unit, as in `t=1.5 ms`.
+    """
+    import pandas
+
+    values = pandas.to_numeric(cells, errors="coerce").to_numpy(np.float64, copy=True)
+    unread = ~np.isfinite(values) & cells.notna().to_numpy()
+    if not unread.any():
+        return values, ""
+    text = cells[unread].astype(str).str.strip()
+    thousands = text.str.match(_THOUSANDS[dialect.decimal])
+    if thousands.mean() > _LABEL_SHARE:
+        values[unread] = _without_thousands(text.where(thousands), dialect)
+        return values, ""
+    parts = text.str.extract(_LABELLED)
+    is_labelled = parts[1].notna()
+    labels = (parts[0].fillna("").str.strip() + "|" + parts[2].fillna("").str.strip()).where(is_labelled)
+    if (
+        unread.mean() < _LABEL_SHARE
+        or is_labelled.mean() < _LABEL_SHARE
+        or parts[1].nunique() < _MIN_DISTINCT
+    ):
+        return values, ""
+    label = labels.mode()
+    same = labels == label.iloc[0]
+    if same.mean() < _LABEL_SHARE:
+        return values, ""
+    numbers = parts[1].where(same)
+    if dialect.decimal == "," and not numbers.str.contains(".", regex=False).any():
+        numbers = numbers.str.replace(",", ".")
+    values[unread] = _without_thousands(numbers, dialect)
+    return values, unit_of(label.iloc[0].partition("|")[2])
+
+
+def _without_thousands(text: pandas.Series, dialect: Dialect) -> Floats:
+    """Read numbers that may have separators of thousands; nan for a cell that is no number."""
+    import pandas
+
+    separator = "," if dialect.decimal == "." else "."
+    bare = text.str.replace(rf"(?<=\d)[{separator}'\u2019\s\u202f\u00a0](?=\d{{3}})", "", regex=True)
+    values: Floats = pandas.to_numeric(bare.str.replace(",", "."), errors="coerce").to_numpy(np.float64)
+    return values
 
 
 def find_dialect(lines: list[str]) -> Dialect | None:

@@ -14,8 +14,9 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Floats
-from heli_host.data.tables import Table
-from heli_host.data.tables.table import split_unit
+from heli_host.data.tables import Column, Table
+from heli_host.data.tables.rows import timed_rows
+from heli_host.data.tables.table import TIME_UNITS, split_unit
 from heli_host.errors import FlightDataError
 
 from heli_lab.setup.guess.motion import (
@@ -38,7 +39,7 @@ from heli_lab.setup.guess.names import (
     is_time,
     meanings_of,
 )
-from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity, KnownEntries
+from heli_lab.setup.guess.result import DECISIVE_NATS, NOTHING_KNOWN, Ambiguity, KnownEntries
 from heli_lab.setup.guess.signals import (
     NO_RATE,
     Clock,
@@ -48,7 +49,7 @@ from heli_lab.setup.guess.signals import (
     delay,
     longest_run,
     quantisation_step,
-    times_in_s,
+    without_spikes,
 )
 
 _FIX: Final = (
@@ -89,17 +90,39 @@ class PreparedFile:
     encoders: frozenset[str]  # Columns that are quantised by an encoder of the rig
 
 
-def prepare_file(table: Table, reference: Reference, rate_Hz: float | None) -> PreparedFile:
-    """Find the times of an aligned table, cut its longest part, and filter its columns."""
-    clock = Clock("", "s", True) if rate_Hz else clock_of(table)
-    if not rate_Hz and (not clock.column or not clock.unit):
-        raise FlightDataError(f"{table.source}: no column is the time ({clock.alternative})", NO_RATE)
-    t_s = np.arange(len(table)) / rate_Hz if rate_Hz else times_in_s(table, clock)
+def prepare_file(
+    table: Table, reference: Reference, rate_Hz: float | None, known: KnownEntries = NOTHING_KNOWN
+) -> PreparedFile:
+    """Find the times of an aligned table, repair its rows, cut its longest part, and filter its columns."""
+    clock = Clock("", "s", True) if rate_Hz else _clock_of(table, known)
+    if rate_Hz:
+        t_s = np.arange(len(table)) / rate_Hz
+    else:
+        timed = timed_rows(table, clock.column, clock.unit)
+        t_s = timed.t_s
+        times = Column(t_s / TIME_UNITS[clock.unit], clock.unit)
+        # A conversion of these rows must not repair their times again.
+        table = replace(timed.table, columns={**timed.table.columns, clock.column: times}, changes=())
+        t_s = t_s - t_s[0]
     table, t_s = longest_run(table, t_s)
     others = [name for name in table.columns if name != clock.column and not is_time(name)]
+    table = without_spikes(table, others)
     signals = column_signals(table, t_s, others, reference.counts.values())
     encoders = frozenset(name for name in others if _is_encoder(table.columns[name].values, reference))
     return PreparedFile(table, clock, signals, encoders)
+
+
+def _clock_of(table: Table, known: KnownEntries) -> Clock:
+    """Return the time column that the user states, or the best one; an error gives the reason if none is."""
+    clock = clock_of(table)
+    stated = known.entries.get("time", {})
+    column = stated.get("column")
+    if column in table.columns:
+        unit = stated.get("unit") or (clock.unit if clock.column == column else "s")
+        return Clock(str(column), str(unit), True)
+    if not clock.column or not clock.unit:
+        raise FlightDataError(f"{table.source}: no column is the time ({clock.alternative})", NO_RATE)
+    return clock
 
 
 def _is_encoder(values: Floats, reference: Reference) -> bool:

@@ -15,7 +15,7 @@ from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.table import notes_path
 from heli_host.data.tables import Column, Table
-from heli_host.data.tables.table import TIME_UNITS
+from heli_host.data.tables.rows import timed_rows
 from heli_host.errors import FlightDataError
 
 from heli_lab.setup.guess.signals import Clock, clock_of
@@ -144,9 +144,10 @@ def merge_tables(tables: Sequence[Table]) -> Table:
     FlightDataError
         When a file has neither times nor as many rows as another one.
     """
-    aligned = [table.aligned() for table in tables]
-    clocks = [clock_of(table) for table in aligned]
-    times_s = [_times_s(table, clock) for table, clock in zip(aligned, clocks, strict=True)]
+    clocks = [clock_of(table.aligned()) for table in tables]
+    timed = [_timed(table.aligned(), clock) for table, clock in zip(tables, clocks, strict=True)]
+    aligned = [table for table, _ in timed]
+    times_s = [t_s for _, t_s in timed]
     notes = [table.notes for table in tables]
     columns: dict[str, Column] = {}
     for number, table in enumerate(aligned):
@@ -162,15 +163,16 @@ def merge_tables(tables: Sequence[Table]) -> Table:
             if not has_times or name != clocks[number].column:
                 # The position, not the file's name, so that the profile also fits the next flight.
                 columns[f"{number + 1}: {name}"] = Column(column.values, column.unit, t_s)
-    return Table(tables[0].source, columns, " / ".join(filter(None, notes)))
+    changes = tuple(change for table in aligned for change in table.changes)
+    return Table(tables[0].source, columns, " / ".join(filter(None, notes)), changes=changes)
 
 
-def _times_s(table: Table, clock: Clock) -> Floats | None:
-    """Return the times of a table [s], shape (n,), as its clock states them; None if it has none."""
+def _timed(table: Table, clock: Clock) -> tuple[Table, Floats | None]:
+    """Return the rows of a table in the order of its clock, with their times [s]; None if it has no clock."""
     if not clock.column or not clock.unit:
-        return None
-    times: Floats = table.columns[clock.column].values * TIME_UNITS[clock.unit]
-    return times
+        return table, None
+    timed = timed_rows(table, clock.column, clock.unit)
+    return timed.table, timed.t_s
 
 
 def _merge_partner(number: int, tables: Sequence[Table], times_s: Sequence[Floats | None]) -> int:

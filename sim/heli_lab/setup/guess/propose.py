@@ -32,7 +32,7 @@ from heli_lab.setup.guess.motion import (
     reference_of,
     sum_and_difference,
 )
-from heli_lab.setup.guess.names import AXES, PAIR, SUMS
+from heli_lab.setup.guess.names import AXES, PAIR, SUMS, meaning_of
 from heli_lab.setup.guess.result import DECISIVE_NATS, NOTHING_KNOWN, Ambiguity, Guess, KnownEntries
 from heli_lab.setup.guess.signals import NO_RATE, Clock, filtered_signal
 from heli_lab.setup.guess.signs import (
@@ -191,7 +191,10 @@ def propose(
     each file.
     """
     reference = reference_of(rig)
-    files = [prepare_file(known.with_units(table.aligned()), reference, rate_Hz) for table in tables]
+    files = [
+        prepare_file(known.with_units(table.aligned(_named_angles(table))), reference, rate_Hz, known)
+        for table in tables
+    ]
     source = files[0].table.source
     clock, ambiguities = _common_clock(files)
     # Which column is which: by names, and otherwise by how well each assignment explains the motion.
@@ -245,6 +248,11 @@ def propose(
     unknown = tuple(ambiguity for ambiguity in ambiguities if not known.states(ambiguity))
     proposed = Guess(profile, unknown, tuple(evidence), log_likelihood=assignment.log_likelihood)
     return proposed, longest_parts
+
+
+def _named_angles(table: Table) -> list[str]:
+    """List the columns whose names state an angle: between their values lies a straight line."""
+    return [name for name, column in table.columns.items() if meaning_of(name, column.unit).role in AXES]
 
 
 def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]]:

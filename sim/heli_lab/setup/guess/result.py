@@ -171,7 +171,7 @@ class KnownEntries:
             name: Column(column.values, units.get(name) or column.unit, column.t_s)
             for name, column in table.columns.items()
         }
-        return Table(table.source, columns, table.notes, table.named) if units else table
+        return replace(table, columns=columns) if units else table
 
     def _known_unit(self, role: str) -> str:
         """Known unit of a `role`; both voltages may share one entry. Empty if it is unknown."""

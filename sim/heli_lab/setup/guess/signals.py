@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final
 
@@ -22,15 +22,31 @@ _MIN_TIMES: Final = 10
 """Smallest number of values of a time column."""
 _MIN_RISING_SHARE: Final = 0.995
 """Smallest share of rows in which a time column rises; a clock may be set back now and then."""
+_MAX_FALLING_SHARE: Final = 0.4
+"""Share of rows in which a column with the name of a time may fall. A counter of 16 bits in microseconds
+falls in 15 % of the rows at 100 Hz; noise falls in half of them."""
+_MAX_UNNAMED_FALLING_SHARE: Final = 0.03
+"""The same for a column without such a name, if it lies on a line. Packets of a network change places in
+1 %."""
+_LINEAR: Final = 0.9999
+"""Correlation with the row number from which a column without the name of a time may be one. Travel at a
+constant rate has less, because it begins at rest."""
+_STEP_ROWS: Final = 1000
+"""Number of rows over which the step of a coarse clock is averaged: more than rows share a time."""
 _MAX_UNEVENNESS: Final = 0.5
 """Largest deviation of an even step from the median step, as a share of it."""
 _STEPS_s: Final = (0.0002, 0.15)
 """Smallest and largest step of a log [s]; logs of such flights have at least 7 Hz."""
 _JUMP_STEPS: Final = 15.0
-"""A step of an angle this many times above its usual largest one is a jump. Angles have up to 3; voltages
+"""A step of an angle this many times above its typical largest one is a jump. Angles have up to 3; voltages
 have up to 15, when a setpoint moves. Lower values cut flights there, higher ones miss jumps of slow logs."""
 _JUMP_SHARE: Final = 0.03
 """Smallest jump as a share of the column's range. Smaller ones are left to the conversion, in degrees."""
+_SPIKE_STEPS: Final = 8.0
+"""Step to and from a spike, as a multiple of the 99 % quantile of all steps. Measured columns have up to
+4."""
+_MAX_SPIKES: Final = 0.02
+"""Largest share of spikes; a column with more is a signal that switches."""
 _MIN_ROWS: Final = 100
 _MAX_JUMPS: Final = 3
 """Columns with more jumps are not angles: voltages that a controller switches jump all the time."""
@@ -71,28 +87,59 @@ def clock_of(table: Table) -> Clock:
     """Find the time column of a table and its unit: the best of all columns that rise from row to row.
 
     A column counts for its name (2 points), for even steps (up to 1), for a unit with which it has a
-    plausible step (1), and if column and unit are unambiguous (1).
+    plausible step (1), and if column and unit are unambiguous (1). A column whose name means the time may
+    fall and repeat: its rows are repaired later.
     """
     scored_clocks: list[tuple[float, Clock]] = []
-    why = "no column rises from row to row"
+    reasons: list[tuple[float, str]] = []
     for name, column in table.columns.items():
         values = column.values[np.isfinite(column.values)]
         if values.size < _MIN_TIMES:
             continue
         steps = np.diff(values)
-        rising_share = float(np.mean(steps > 0.0))
-        if rising_share < _MIN_RISING_SHARE:
-            if names.is_time(name):
-                why = f"'{name}' rises in only {100.0 * rising_share:.0f} % of its rows"
+        is_named = names.is_time(name)
+        rising_share, falling_share = float(np.mean(steps > 0.0)), float(np.mean(steps < 0.0))
+        step = _mean_step(values)
+        if not (_is_clock(values, is_named) and step > 0.0):
+            reasons.append(
+                (
+                    2.0 * is_named + max(rising_share, falling_share),
+                    f"'{name}' rises in {100.0 * rising_share:.0f} % of its rows and falls in "
+                    f"{100.0 * falling_share:.0f} %",
+                )
+            )
             continue
-        typical_step = float(np.median(steps))
-        even_share = float(np.mean(np.abs(steps / typical_step - 1.0) < _MAX_UNEVENNESS))
-        clock = _interpret_as_times(name, column.unit, typical_step)
-        score = 2.0 * names.is_time(name) + even_share + bool(clock.unit) + clock.sure
+        even_share = float(np.mean(np.abs(steps / step - 1.0) < _MAX_UNEVENNESS))
+        clock = _interpret_as_times(name, column.unit, step)
+        score = 2.0 * is_named + even_share + bool(clock.unit) + clock.sure
         scored_clocks.append((score, clock))
     if not scored_clocks:
-        return Clock("", "", False, why)
+        return Clock("", "", False, max(reasons)[1] if reasons else "it has no columns of numbers")
     return max(scored_clocks, key=lambda scored: scored[0])[1]
+
+
+def _is_clock(values: Floats, is_named: bool) -> bool:
+    """Whether a column rises like a clock; one whose name means the time may fall and repeat more often."""
+    steps = np.diff(values)
+    falling_share = float(np.mean(steps < 0.0))
+    if float(np.mean(steps > 0.0)) >= _MIN_RISING_SHARE:
+        return True
+    if is_named:
+        return falling_share < _MAX_FALLING_SHARE or falling_share > _MIN_RISING_SHARE
+    if min(falling_share, 1.0 - falling_share) > _MAX_UNNAMED_FALLING_SHARE or np.ptp(values) == 0.0:
+        return False
+    return abs(float(np.corrcoef(np.arange(values.size), values)[0, 1])) > _LINEAR
+
+
+def _mean_step(values: Floats) -> float:
+    """Return the typical rise of a clock from row to row, also if rows share times or a counter overflows."""
+    steps = np.diff(values)
+    if float(np.mean(steps < 0.0)) > _MIN_RISING_SHARE:
+        steps, values = -steps, -values
+    if float(np.mean(steps > 0.0)) > 0.5:
+        return float(np.median(steps[steps > 0.0]))
+    rows = max(1, min(values.size // 4, _STEP_ROWS))
+    return float(np.median((values[rows:] - values[:-rows]) / rows))
 
 
 def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
@@ -123,12 +170,24 @@ def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
     return Clock(name, possible_units[0], not may_count_rows, "it may count rows" if may_count_rows else "")
 
 
-def times_in_s(table: Table, clock: Clock) -> Floats:
-    """Return the times of the rows since the first finite one [s], shape (n,)."""
-    values = table.columns[clock.column].values
-    first = values[np.isfinite(values)][0]
-    result: Floats = (values - first) * TIME_UNITS[clock.unit]
-    return result
+def without_spikes(table: Table, columns: Collection[str]) -> Table:
+    """Blank single values that jump away from their neighbours and back, as damaged digits do."""
+    repaired = dict(table.columns)
+    for name in columns:
+        values = table.columns[name].values
+        known = np.flatnonzero(np.isfinite(values))
+        if known.size < _MIN_ROWS:
+            continue
+        inner = values[known]
+        steps = np.abs(np.diff(inner))
+        typical = float(np.quantile(steps, 0.99))
+        is_spike = (steps[:-1] > _SPIKE_STEPS * typical) & (steps[1:] > _SPIKE_STEPS * typical)
+        is_spike &= np.abs(inner[2:] - inner[:-2]) <= 3.0 * typical
+        if typical > 0.0 and 0 < is_spike.sum() < _MAX_SPIKES * inner.size:
+            blanked = values.copy()
+            blanked[known[1:-1][is_spike]] = np.nan
+            repaired[name] = replace(table.columns[name], values=blanked)
+    return replace(table, columns=repaired)
 
 
 def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
@@ -145,7 +204,7 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
         return table, t_s
     start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
     columns = {name: Column(column.values[start:stop], column.unit) for name, column in table.columns.items()}
-    return Table(table.source, columns, table.notes, table.named), t_s[start:stop]
+    return replace(table, columns=columns), t_s[start:stop]
 
 
 def _jump_rows(values: Floats, t_s: Floats) -> set[int]:

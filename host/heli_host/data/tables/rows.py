@@ -1,0 +1,555 @@
+"""Rows of a table on one clock: order, repeated times, overflows, blank cells; every change is counted."""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from heli_host.data.arrays import Booleans, Floats, Integers
+from heli_host.data.tables.table import TIME_UNITS, RowChange, Table
+from heli_host.errors import FlightDataError
+
+NO_CLOCK: Final = "give a column of times, or the sampling rate with --rate"
+"""Fix of a file without usable times."""
+_MIN_TIMES: Final = 10
+"""Smallest number of times of a table."""
+_MIN_TIME_SHARE: Final = 0.5
+"""Smallest share of rows with a time. With fewer, the column is not the clock of the rows."""
+_REVERSED_SHARE: Final = 0.9
+"""Share of falling steps from which the newest row is the first: other clocks fall in less than half of their
+steps."""
+_MODULI: Final = (2.0**16, 2.0**31, 2.0**32, 2.0**32 / 1e3, 2.0**32 / 1e6, 2.0**16 / 1e3)
+"""Numbers at which counters start again: 16, 31 and 32 bits, and microseconds shown in ms or s."""
+_SHOWN_S: Final = (60.0, 3600.0, 86400.0)
+"""Times at which a clock face starts again [s]. They count only if the file begins at another time, because a
+flight of a minute may be followed by another one."""
+_EDGE_STEPS: Final = 6.0
+"""Largest distance from the end of a counter's range, in typical steps, at which it overflows. A gap that is
+filled may lie there; a larger number takes a restart of the program for an overflow."""
+_MIN_OVERFLOWS: Final = 3
+"""Smallest number of equal falls of a counter with an unknown range."""
+_GLITCH_STEPS: Final = 20.0
+"""Distance of a time from its neighbours, in typical steps, from which it is examined alone. Packets of a
+network arrive up to some ten rows late."""
+_HOLE_STEPS: Final = 1.5
+"""Step, in typical steps, from which a row is missing there, so that a displaced row fits."""
+_MAX_MISFITS: Final = 3
+"""Largest number of neighbouring rows that count as damaged. Set by judgement: more rows whose times fit
+nowhere are the begin of another recording."""
+_MAX_CLUSTER: Final = 2000
+"""Longest disorder that is examined row by row. A network does not delay a row by more."""
+_MAX_CONFLICTS: Final = 0.02
+"""Largest share of rows that share a time by damage. Damaged lines are rarer in logs that people use."""
+_COPY_SHARE: Final = 0.9
+"""Share of the rows with a repeated time that equal the row before, from which they are copies of it."""
+_NEAR_ROWS: Final = 8
+"""Rows before and after a pair in which the rig has to move for the pair to count as evidence."""
+
+
+@dataclass(frozen=True)
+class TimedRows:
+    """Rows of a table in the order of their times."""
+
+    table: Table  # The rows, with all changes so far
+    t_s: Floats  # (n,): Times [s]; they rise, and fall only where a clock starts again
+
+
+def timed_rows(table: Table, column: str, unit: str) -> TimedRows:
+    """Put the rows of an aligned `table` in the order of the times in a `column`, and repair these times.
+
+    All changes are added to those of the table. A FlightDataError states why a column is no clock.
+    """
+    values = table.columns[column].values
+    has_time = np.isfinite(values)
+    if has_time.sum() < max(_MIN_TIMES, _MIN_TIME_SHARE * values.size):
+        first = int(np.argmin(has_time)) + 1
+        raise FlightDataError(
+            f"{table.source}: the time '{column}' is a number in only {int(has_time.sum())} of {values.size} "
+            f"rows (the first without one is row {first})",
+            NO_CLOCK,
+        )
+    clock = _Clock(column, TIME_UNITS[unit], np.flatnonzero(has_time), values[has_time])
+    if not clock.step:
+        raise FlightDataError(
+            f"{table.source}: the time '{column}' is {values[has_time][0]:g} in all {values.size} rows",
+            NO_CLOCK,
+        )
+    if not has_time.all():
+        clock.leave_out(np.flatnonzero(~has_time), f"without a time in '{column}'")
+    clock.turn_round()
+    clock.continue_counter()
+    clock.sort()
+    ordered = table.selected(clock.rows, clock.changes)
+    return _with_unique_times(ordered, clock.times, clock.cuts, column, TIME_UNITS[unit])
+
+
+class _Clock:
+    """Times of a column while they are put in order; `rows` are their rows in the table."""
+
+    def __init__(self, column: str, unit_s: float, rows: Integers, times: Floats) -> None:
+        self.column, self.unit_s, self.rows, self.times = column, unit_s, rows, times
+        self.changes: list[RowChange] = []
+        self.cuts: list[int] = []  # Rows at which the clock starts again
+        self.step = _typical_step(times)
+
+    def leave_out(self, rows: Integers, reason: str) -> None:
+        """Note that `rows` of the table are left out."""
+        first = int(rows.min()) + 1
+        self.changes.append(RowChange("left out", rows.size, f"{reason} (first: row {first})"))
+
+    def turn_round(self) -> None:
+        """Turn a table round whose newest row is the first."""
+        steps = np.diff(self.times)
+        moving = steps[steps != 0.0]
+        if float(np.mean(moving < 0.0)) > _REVERSED_SHARE:
+            self.rows, self.times = self.rows[::-1], self.times[::-1]
+            self.changes.append(
+                RowChange(
+                    "reordered", self.rows.size, f"because '{self.column}' falls: the newest came first"
+                )
+            )
+
+    def continue_counter(self) -> None:
+        """Continue a counter that starts again at the end of its range."""
+        steps = np.diff(self.times)
+        period = self._period(steps)
+        if not period:
+            return
+        falls = np.flatnonzero(steps < -0.5 * period)
+        # Rows that are exchanged at the overflow fall and rise by nearly a period.
+        continued = np.mod(steps + 0.25 * period, period) - 0.25 * period
+        overflows = round(float((continued - steps).sum()) / period)
+        self.times = self.times[0] + np.concatenate(([0.0], np.cumsum(continued)))
+        self.step = _typical_step(self.times)
+        times = "once" if overflows == 1 else f"{overflows} times"
+        self.changes.append(
+            RowChange(
+                "retimed",
+                self.rows.size - int(falls[0]) - 1,
+                f"because the counter '{self.column}' overflows at {period:.10g}, {times} "
+                f"(first: row {int(self.rows[falls[0] + 1]) + 1})",
+            )
+        )
+
+    def _period(self, steps: Floats) -> float:
+        """Return the number at which the counter starts again; 0 if no counter overflows."""
+        if not (steps < 0.0).any():
+            return 0.0
+        span, lowest = float(np.ptp(self.times)), float(self.times.min())
+        shown = [] if self.times[0] < _EDGE_STEPS * self.step else [s / self.unit_s for s in _SHOWN_S]
+        for period in (*_MODULI, *shown):
+            slack = min(_EDGE_STEPS * self.step, 0.25 * period)
+            falls = np.flatnonzero(steps < -0.5 * period)
+            if not falls.size or period < 2.0 * self.step or span > period + slack:
+                continue
+            # Unsigned counters begin at 0, signed ones at minus half of their range.
+            begin = 0.0 if lowest >= -slack else -0.5 * period
+            is_edge = self.times[falls] > begin + period - slack - self.step
+            is_edge &= self.times[falls + 1] < begin + slack + self.step
+            if is_edge.mean() > 0.5:
+                return float(period)
+        # A counter with another range: all falls are equal.
+        falls = np.flatnonzero(steps < -_GLITCH_STEPS * self.step)
+        if falls.size >= _MIN_OVERFLOWS:
+            sizes = -steps[falls] + self.step
+            period = float(np.median(sizes))
+            is_equal = np.abs(sizes - period) < _EDGE_STEPS * self.step
+            if is_equal.mean() > 0.9 and span < period + _EDGE_STEPS * self.step:
+                return float(round(period)) if abs(period - round(period)) < 0.5 * self.step else period
+        return 0.0
+
+    def sort(self) -> None:
+        """Sort the rows by time within each recording, and leave out rows whose times fit nowhere."""
+        if not (np.diff(self.times) < 0.0).any():
+            return
+        self._pull_out_glitches()
+        order: list[Integers] = []
+        misfits: list[Integers] = []
+        moved = falls = start = 0
+        while start < self.times.size:
+            stop, segment, bad, segment_moved, segment_falls = self._sorted_segment(start)
+            order.append(segment)
+            misfits.append(bad)
+            moved, falls = moved + segment_moved, falls + segment_falls
+            if stop < self.times.size:
+                self.cuts.append(sum(part.size for part in order))
+            start = stop
+        kept, bad = np.concatenate(order), np.concatenate(misfits)
+        if moved:
+            self.changes.append(
+                RowChange("reordered", moved, f"at {falls} falls of '{self.column}': sorted by time")
+            )
+        if bad.size:
+            self.leave_out(self.rows[bad], f"whose '{self.column}' is out of order and fits nowhere")
+        self.rows, self.times = self.rows[kept], self.times[kept]
+
+    def _pull_out_glitches(self) -> None:
+        """Move single times that are far from their neighbours to the place where they fit, if any."""
+        times = self.times
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(times, 2, mode="reflect"), 5)
+        is_far = np.abs(times - np.median(windows, axis=1)) > _GLITCH_STEPS * self.step
+        if not is_far.any():
+            return
+        rest, rest_rows = times[~is_far], self.rows[~is_far]
+        is_sorted = not (np.diff(rest) < 0.0).any()
+        damaged: list[int] = []
+        moved: list[tuple[int, float, int]] = []
+        for index in np.flatnonzero(is_far):
+            time, row = float(times[index]), int(self.rows[index])
+            place = int(np.searchsorted(rest, time)) if is_sorted else 0
+            fits = 0 < place < rest.size and rest[place] - rest[place - 1] > _HOLE_STEPS * self.step
+            if fits and min(time - rest[place - 1], rest[place] - time) > 0.5 * self.step:
+                moved.append((place, time, row))
+            else:
+                damaged.append(row)
+        if damaged:
+            self.leave_out(np.array(damaged), f"whose '{self.column}' is far from its neighbours")
+        if moved:
+            places, moved_times, moved_rows = zip(*sorted(moved), strict=True)
+            rest = np.insert(rest, places, moved_times)
+            rest_rows = np.insert(rest_rows, places, moved_rows)
+            self.changes.append(
+                RowChange("reordered", len(moved), f"that came late: sorted by '{self.column}'")
+            )
+        self.rows, self.times = rest_rows, rest
+
+    def _sorted_segment(self, start: int) -> tuple[int, Integers, Integers, int, int]:
+        """Sort the rows from `start` on until the clock starts again.
+
+        Returns the row at which it starts again, the sorted rows, rows that fit nowhere, and how many rows
+        and falls were sorted.
+        """
+        times = self.times
+        kept: list[Integers] = []
+        misfits: list[int] = []
+        moved = sorted_falls = 0
+        position = start
+        highest = np.maximum.accumulate(times[start:])
+        for fall in np.flatnonzero(np.diff(times[start:]) < 0.0) + 1 + start:
+            if fall <= position and position > start:
+                continue
+            first, last = self._disorder(position, int(fall), highest, start)
+            fitted, bad = self._fit(np.arange(first, last))
+            if bad is None:
+                restart = first + 1 + int(np.argmin(np.diff(times[first:last])))
+                segment = np.concatenate([*kept, np.arange(position, restart)])
+                # The rows before the restart may be in disorder themselves.
+                segment = segment[np.argsort(times[segment], kind="stable")]
+                return restart, segment, np.array(misfits, int), moved, sorted_falls
+            kept += [np.arange(position, first), fitted]
+            misfits += bad.tolist()
+            remaining = np.sort(fitted)
+            moved += int((remaining != fitted).sum())
+            sorted_falls += int((np.diff(times[remaining]) < 0.0).sum())
+            position = last
+        kept.append(np.arange(position, times.size))
+        return times.size, np.concatenate(kept), np.array(misfits, int), moved, sorted_falls
+
+    def _disorder(self, position: int, fall: int, highest: Floats, start: int) -> tuple[int, int]:
+        """Return the first row and the row after the last of the disorder around a `fall`."""
+        times = self.times
+        first, last = fall - 1, fall + 1
+        while True:
+            top = float(highest[last - 1 - start])
+            below = np.flatnonzero(times[last : last + _MAX_CLUSTER] < top)
+            end = last + int(below[-1]) + 1 if below.size else last
+            rising = np.maximum.accumulate(times[position:end])
+            begin = position + int(np.searchsorted(rising, float(times[first:end].min()), "right"))
+            begin = min(begin, first)
+            if (begin, end) == (first, last) or end - begin > _MAX_CLUSTER:
+                return begin, end
+            first, last = begin, end
+
+    def _fit(self, cluster: Integers) -> tuple[Integers, Integers | None]:
+        """Sort a `cluster`; return its rows and its misfits, or None if the clock starts again there."""
+        times = self.times[cluster]
+        order = np.argsort(times, kind="stable")
+        if cluster.size > _MAX_CLUSTER:
+            return cluster, None
+        is_tidy = (np.diff(times[order]) > 0.5 * self.step).all()
+        if is_tidy and float(np.ptp(times)) / self.step < 2.0 * cluster.size + _EDGE_STEPS:
+            return cluster[order], np.zeros(0, int)
+        backbone = _longest_rise(times)
+        is_displaced = np.ones(times.size, bool)
+        is_displaced[backbone] = False
+        rest = times[backbone]
+        is_coarse = rest.size > 1 and float(np.mean(np.diff(rest) == 0.0)) > 0.3
+        kept: list[int] = backbone.tolist()
+        bad: list[int] = []
+        repeats = 0
+        for index in np.flatnonzero(is_displaced).tolist():
+            place = int(np.searchsorted(rest, times[index]))
+            is_inside = 0 < place < rest.size
+            is_hole = is_inside and rest[place] - rest[place - 1] > _HOLE_STEPS * self.step
+            is_repeated = place < rest.size and rest[place] == times[index]
+            repeats += is_repeated and not is_coarse
+            (kept if is_hole or is_coarse or is_repeated else bad).append(index)
+        # A few rows with the times of others may be late copies; many are those of a clock that was set back.
+        if len(bad) > _MAX_MISFITS or repeats > _MAX_MISFITS:
+            return cluster, None
+        kept_rows = np.sort(np.array(kept, np.int64))
+        return cluster[kept_rows[np.argsort(times[kept_rows], kind="stable")]], cluster[
+            np.array(bad, np.int64)
+        ]
+
+
+def _typical_step(times: Floats) -> float:
+    """Return the median of the steps that are not 0, in the direction in which most of them go."""
+    steps = np.diff(times)
+    steps = steps[steps != 0.0]
+    if not steps.size:
+        return 0.0
+    is_falling = float(np.mean(steps < 0.0)) > _REVERSED_SHARE
+    return float(np.median(-steps[steps < 0.0] if is_falling else steps[steps > 0.0]))
+
+
+def _longest_rise(times: Floats) -> Integers:
+    """Return the positions of a longest part of `times` that never falls."""
+    tops: list[float] = []
+    top_at: list[int] = []
+    previous = np.full(times.size, -1)
+    for index, time in enumerate(times.tolist()):
+        place = bisect.bisect_right(tops, time)
+        if place == len(tops):
+            tops.append(time)
+            top_at.append(index)
+        else:
+            tops[place], top_at[place] = time, index
+        previous[index] = top_at[place - 1] if place else -1
+    positions = []
+    index = top_at[-1]
+    while index >= 0:
+        positions.append(index)
+        index = int(previous[index])
+    return np.array(positions[::-1], np.int64)
+
+
+def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str, unit_s: float) -> TimedRows:
+    """Leave out copies of rows, merge rows that complete each other, and count on times that repeat."""
+    others = [name for name in table.columns if name != column]
+    values = [table.columns[name].values for name in others]
+    matrix = np.column_stack(values) if others else np.zeros((times.size, 1))
+    keep = np.ones(times.size, bool)
+    counts = {"twice": 0, "copies": 0, "rivals": 0, "merged": 0, "coarse": 0}
+    first_rival, notes = 0.0, []
+    retimed: list[Floats] = []
+    seen: list[tuple[Floats, Floats]] = []
+    for start, stop in itertools.pairwise([0, *cuts, times.size]):
+        segment, part = times[start:stop], matrix[start:stop]
+        if any(_is_same_part(segment, part, *other) for other in seen):
+            keep[start:stop] = False
+            counts["twice"] += stop - start
+            continue
+        seen.append((segment, part))
+        is_merged = _merge_complements(segment, part)
+        is_copy = np.zeros(segment.size, bool)
+        is_copy[~is_merged] = _copies(segment[~is_merged], part[~is_merged])
+        used = ~(is_copy | is_merged)
+        conflicts = _conflicts(segment[used])
+        if conflicts.any():
+            first_rival = first_rival or float(segment[used][int(np.argmax(conflicts))])
+            used[np.flatnonzero(used)[conflicts]] = False
+        keep[start:stop] = used
+        even, shared, note = _counted_on(segment[used], unit_s)
+        counts["copies"] += int(is_copy.sum())
+        counts["merged"] += int(is_merged.sum())
+        counts["rivals"] += int(conflicts.sum())
+        counts["coarse"] += shared
+        notes += [note] if note and note not in notes else []
+        retimed.append(even)
+    reasons = {
+        "twice": ("left out", "of a recording that the file contains twice"),
+        "copies": ("left out", f"that repeat the row before, with the same '{column}'"),
+        "rivals": ("left out", f"that contradict another with the same '{column}' (first: {first_rival:g})"),
+        "merged": ("merged", f"into the row with the same '{column}', whose blank cells they fill"),
+        "coarse": ("retimed", f"that share their '{column}' with others: {'; '.join(notes)}"),
+    }
+    changes = [RowChange(reasons[key][0], rows, reasons[key][1]) for key, rows in counts.items() if rows]
+    if counts["merged"]:
+        filled = {name: replace(table.columns[name], values=matrix[:, i]) for i, name in enumerate(others)}
+        table = replace(table, columns={**table.columns, **filled})
+    table = table.selected(np.flatnonzero(keep), changes) if changes else table
+    return TimedRows(table, np.concatenate(retimed) * unit_s)
+
+
+def _is_same_part(times: Floats, part: Floats, other_times: Floats, other: Floats) -> bool:
+    """Whether a recording equals another one that the file contains, row by row."""
+    return part.shape == other.shape and bool(
+        np.array_equal(np.diff(times), np.diff(other_times)) and np.array_equal(part, other, equal_nan=True)
+    )
+
+
+def _merge_complements(times: Floats, part: Floats) -> Booleans:
+    """Fill blank cells of a row from the next rows with the same time, in place; mark those next rows.
+
+    Two messages with one time stamp give such rows: each has the cells that the other lacks.
+    """
+    merged = np.zeros(times.size, bool)
+    blank = np.isnan(part)
+    if not blank.any():
+        return merged
+    target = 0
+    for row in (np.flatnonzero(np.diff(times) == 0.0) + 1).tolist():
+        if times[row] != times[target]:
+            target = row - 1
+        if not (blank[row] | blank[target]).all() or blank[row].all():
+            target = row
+            continue
+        part[target] = np.where(blank[target], part[row], part[target])
+        blank[target] = np.isnan(part[target])
+        merged[row] = True
+    return merged
+
+
+def _copies(times: Floats, part: Floats) -> Booleans:
+    """Mark rows that a program wrote twice: they equal the row before, time included.
+
+    On a coarse clock, rows share a time too, and rest makes them equal. Therefore only pairs count that are
+    near rows that differ: there the rig moves.
+    """
+    is_copy = np.zeros(times.size, bool)
+    same_time = np.diff(times) == 0.0
+    if not same_time.any():
+        return is_copy
+    equal = ((part[1:] == part[:-1]) | (np.isnan(part[1:]) & np.isnan(part[:-1]))).all(axis=1)
+    changes_before = np.concatenate(([0], np.cumsum(~equal)))
+    index = np.arange(same_time.size)
+    near = changes_before[np.minimum(index + _NEAR_ROWS, same_time.size)]
+    near = near - changes_before[np.maximum(index - _NEAR_ROWS, 0)]
+    pairs = same_time & (near >= _NEAR_ROWS // 2)
+    pairs = pairs if pairs.any() else same_time
+    if float(equal[pairs].mean()) >= _COPY_SHARE:
+        is_copy[1:] = equal & same_time
+    return is_copy
+
+
+def _conflicts(times: Floats) -> Booleans:
+    """Mark rows that share a time although the clock is fine: a digit of one of them is damaged.
+
+    On a clock that jitters, a shorter step precedes or follows a longer one; on a coarse clock, many rows
+    share their times.
+    """
+    steps = np.diff(times)
+    result = np.zeros(times.size, bool)
+    shared = np.flatnonzero(steps == 0.0)
+    if not shared.size or shared.size > _MAX_CONFLICTS * times.size:
+        return result
+    typical = float(np.median(steps))
+    for row in shared.tolist():
+        near = np.concatenate((steps[max(row - 3, 0) : row], steps[row + 1 : row + 4]))
+        if near.size and typical > 0.0 and (np.abs(near - typical) < 0.3 * typical).all():
+            result[row : row + 2] = True
+    return result
+
+
+def _counted_on(times: Floats, unit_s: float) -> tuple[Floats, int, str]:
+    """Spread rows that share a time; return times, the number of these rows, and the way in words."""
+    shared = np.zeros(times.size, bool)
+    shared[1:] = np.diff(times) == 0.0
+    count = int(shared.sum())
+    if not count or times.size < _MIN_TIMES:
+        return times, 0, ""
+    starts = np.flatnonzero(~shared)
+    ticks = times[starts]
+    if ticks.size < 2:
+        raise FlightDataError(f"all {times.size} rows have the same time {times[0]:g}", NO_CLOCK)
+    sizes = np.diff(np.append(starts, times.size))
+    first_s = float(times[int(np.argmax(shared))]) * unit_s
+    about = f"up to {int(sizes.max())} rows per time, from {first_s:.6g} s on"
+    rows = np.arange(times.size, dtype=np.float64)
+    lengths = np.diff(ticks)
+    resolution = float(np.median(lengths[-max(1, lengths.size // 5) :]))
+    # The first and the last time may have lost rows, so that their rows are not in the middle of a tick.
+    middles = starts + 0.5 * (sizes - 1.0)
+    slope, _ = _line(middles[1:-1], ticks[1:-1]) if ticks.size > 3 else _line(rows, times)
+    start = float(np.mean(times - slope * rows))
+    if slope > 0.0 and np.abs(times - start - slope * rows).max() <= 1.05 * max(resolution, slope):
+        even: Floats = start + slope * rows
+        return even, count, f"{about}; the rows were counted on at {1.0 / (slope * unit_s):.6g} Hz"
+    typical = float(np.median(lengths))
+    longest = typical * np.maximum(1.0, sizes / np.median(sizes))
+    lengths = np.minimum(np.append(lengths, typical), longest)
+    place = rows - np.repeat(starts, sizes)
+    spread: Floats = np.repeat(ticks, sizes) + place * np.repeat(lengths / sizes, sizes)
+    return spread, count, f"{about}; the rows were spread evenly within each step of the clock"
+
+
+def _line(rows: Floats, times: Floats) -> tuple[float, float]:
+    """Return slope and start of the straight line through `times`."""
+    centre, middle = float(rows.mean()), float(times.mean())
+    slope = float(((rows - centre) @ (times - middle)) / ((rows - centre) @ (rows - centre)))
+    return slope, middle - slope * centre
+
+
+def settle_blank_cells(
+    table: Table, t_s: Floats, held: Collection[str], interpolated: Collection[str], max_missing: float
+) -> tuple[Table, Floats]:
+    """Bring columns of several rates to the rows of the fastest one of the columns that are used.
+
+    Values of `held` columns last until the next one; between the values of `interpolated` columns lies a
+    straight line. A value is used for `max_missing` intervals of its column. Rows that still lack a value
+    are left out.
+    """
+    used = [name for name in table.columns if name in held or name in interpolated]
+    known = {name: np.isfinite(table.columns[name].values) for name in used}
+    if all(cells.all() for cells in known.values()):
+        return table, t_s
+    base = known[max(used, key=lambda name: int(known[name].sum()))]
+    sparse = [name for name in used if known[name].any() and (known[name] & base).sum() < 0.9 * base.sum()]
+    columns = dict(table.columns)
+    for name in sparse:
+        values = _carried(columns[name].values, t_s, known[name], name in held, max_missing)
+        columns[name] = replace(columns[name], values=values)
+    rows = base & np.logical_and.reduce([np.isfinite(columns[name].values) for name in used])
+    changes = []
+    unused = ~rows
+    if sparse:
+        names = ", ".join(f"'{name}'" for name in sparse)
+        other_rows = ~base & np.logical_or.reduce([known[name] for name in used])
+        unused &= ~other_rows
+        if other_rows.any():
+            changes.append(
+                RowChange("merged", int(other_rows.sum()), f"with {names}, which have another rate")
+            )
+        blank = rows & ~np.logical_and.reduce([known[name] for name in sparse])
+        how = "voltages were held, and angles interpolated"
+        changes.append(RowChange("completed", int(blank.sum()), f"that lack {names}, of another rate: {how}"))
+    if unused.any():
+        lacking = [name for name in used if not np.isfinite(columns[name].values[unused]).all()]
+        columns_text = " or ".join(f"'{name}'" for name in lacking)
+        first_s = float(t_s[int(np.argmax(unused))])
+        reason = f"without a number in {columns_text} (first at {first_s:.3f} s)"
+        changes.append(RowChange("left out", int(unused.sum()), reason))
+    kept = np.flatnonzero(rows)
+    return replace(table, columns=columns).selected(kept, changes), t_s[kept]
+
+
+def _carried(values: Floats, t_s: Floats, known: Booleans, is_held: bool, max_missing: float) -> Floats:
+    """Fill the blank cells of a column between its values, up to `max_missing` typical intervals long."""
+    at = np.flatnonzero(known)
+    interval_s = float(np.median(np.diff(t_s[at]))) if at.size > 1 else 0.0
+    rows = np.arange(values.size)
+    last = np.searchsorted(at, rows, side="right") - 1
+    after = np.searchsorted(at, rows, side="left")
+    has_last, has_next = last >= 0, after < at.size
+    last, after = np.clip(last, 0, None), np.clip(after, None, at.size - 1)
+    filled: Floats = values[at[last]] if is_held else np.interp(t_s, t_s[at], values[at])
+    distance_s = (t_s if is_held else t_s[at[after]]) - t_s[at[last]]
+    usable = has_last & (has_next | is_held) & (distance_s <= max_missing * interval_s) & (distance_s >= 0.0)
+    result: Floats = np.where(usable | known, filled, np.nan)
+    return result
+
+
+def equal_runs(t_s: Floats, values: Floats) -> list[tuple[int, int]]:
+    """Find the parts in which all columns repeat the row before, while the time goes on.
+
+    Returns the first row of each part and the row after its last. Shapes: `t_s` (n,), `values` (n, columns).
+    """
+    equal = (values[1:] == values[:-1]).all(axis=1) & (np.diff(t_s) > 0.0)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], equal.astype(int), [0]))))
+    return [(int(start), int(stop) + 1) for start, stop in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,0 +1,280 @@
+"""No row of a file is dropped, filled or moved without a word, whatever happened to its clock and lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pytest
+from heli_host.data.arrays import Floats
+from heli_host.data.tables import Angle, Conversion, Profile, Voltage, convert, read_table
+from heli_host.errors import FlightDataError
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+N: Final = 1500
+RATE_Hz: Final = 100.0
+HEADER: Final = "time [s],front [V],back [V],elevation [deg],pitch [deg],travel [deg]"
+T_S: Final = np.arange(N) / RATE_Hz
+TRAVEL_DEG: Final = 12.0 * T_S + 3.0 * np.sin(T_S)
+VALUES: Final = np.column_stack(
+    (
+        7.0 + np.sin(5.0 * T_S) + 0.2 * np.sin(37.0 * T_S),
+        7.0 - np.sin(3.0 * T_S) + 0.2 * np.cos(31.0 * T_S),
+        8.0 * np.sin(0.9 * T_S),
+        6.0 * np.sin(2.1 * T_S),
+        TRAVEL_DEG,
+    )
+)
+
+
+def profile(unit: str = "s") -> Profile:
+    angles = {axis: Angle(f"{axis} [deg]", "deg") for axis in ("elevation", "pitch", "travel")}
+    return Profile(
+        angles, {name: Voltage(f"{name} [V]") for name in ("front", "back")}, "time [s]", time_unit=unit
+    )
+
+
+def lines(times: list[str] | Floats, values: Floats = VALUES) -> list[str]:
+    return [
+        ",".join([time if isinstance(time, str) else f"{time:.4f}", *(f"{value:.4f}" for value in row)])
+        for time, row in zip(times, values, strict=True)
+    ]
+
+
+def converted(folder: Path, rows: list[str], unit: str = "s") -> Conversion:
+    path = folder / "a.csv"
+    path.write_text("\n".join([HEADER, *rows]) + "\n")
+    return convert(read_table(path), profile(unit))
+
+
+def worst_error(conversion: Conversion) -> float:
+    """Largest error of elevation [deg] or voltage [V], with the row's true time from its travel."""
+    worst = 0.0
+    for flight in conversion.flights:
+        travel_deg = np.degrees(flight.travel_rad)
+        true_s = np.interp(travel_deg - 360.0 * np.round(travel_deg[0] / 360.0), TRAVEL_DEG, T_S)
+        elevation_deg = np.interp(true_s, T_S, VALUES[:, 2])
+        worst = max(worst, float(np.abs(np.degrees(flight.elevation_rad) - elevation_deg).max()))
+        # The time of a row is true up to a constant.
+        worst = max(worst, float(np.ptp(flight.t_s - true_s)))
+    return worst
+
+
+def actions(conversion: Conversion) -> set[str]:
+    return {change.action for change in conversion.changes}
+
+
+def swapped(rows: list[str]) -> list[str]:
+    for row in range(20, len(rows) - 1, 83):
+        rows[row], rows[row + 1] = rows[row + 1], rows[row]
+    return rows
+
+
+def blocks_swapped(rows: list[str]) -> list[str]:
+    rows[640:768] = rows[704:768] + rows[640:704]
+    return rows
+
+
+def late(rows: list[str]) -> list[str]:
+    for row in range(100, len(rows) - 100, 250):
+        rows.insert(row + 50, rows.pop(row))
+    return rows
+
+
+def damaged(rows: list[str]) -> list[str]:
+    for row in range(50, len(rows), 97):
+        half = len(rows[row]) // 2
+        rows[row] = f"{rows[row][:half]}\n^01/02/2026,03:04:05.67\n{rows[row][half:]}"
+    for row in range(60, len(rows), 131):
+        rows[row] = rows[row][:9] + rows[row][18:]
+    return "\n".join(rows).splitlines()
+
+
+def merged(rows: list[str]) -> list[str]:
+    for row in range(len(rows) - 40, 0, -97):
+        rows[row] += rows.pop(row + 1)
+    return rows
+
+
+def two_rates(rows: list[str]) -> list[str]:
+    result = []
+    for row, line in enumerate(rows):
+        time, front, back, *angles = line.split(",")
+        result.append(",".join([time, "", "", *angles]))
+        result += [f"{float(time) + 0.002:.4f},{front},{back},,,"] if row % 4 == 0 else []
+    return result
+
+
+REPAIRS: Final[dict[str, tuple[Callable[[list[str]], list[str]], int]]] = {
+    "neighbours exchanged": (swapped, N),
+    "blocks exchanged": (blocks_swapped, N),
+    "packets late": (late, N),
+    "newest first": (lambda rows: rows[::-1], N),
+    "each row twice": (lambda rows: [row for row in rows for _ in range(2)], N),
+    "some rows twice": (
+        lambda rows: [row for i, row in enumerate(rows) for _ in range(1 + (i % 37 == 5))],
+        N,
+    ),
+    "the file twice": (lambda rows: rows * 2, N),
+    "damaged lines": (damaged, N),
+    "merged lines": (merged, N),
+    "header again": (lambda rows: [*rows[:700], HEADER, *rows[700:]], N),
+    "two rates": (two_rates, N - 1),
+}
+
+
+@pytest.mark.parametrize("kind", REPAIRS)
+def test_rows_are_repaired_and_counted(kind: str, tmp_path: Path) -> None:
+    fault, count = REPAIRS[kind]
+    rows = fault(lines(T_S))
+    conversion = converted(tmp_path, rows)
+    (flight,) = conversion.flights
+    assert (len(flight), conversion.file_rows, conversion.unexplained_rows) == (count, len(rows), 0)
+    assert conversion.changes
+    assert worst_error(conversion) < 0.05
+
+
+def overflowing(bits: int, per_s: float, begin: int) -> list[str]:
+    return [str((round(t * per_s) + begin) % 2**bits) for t in T_S]
+
+
+CLOCKS: Final = {
+    "five digits": ([f"{t:.4g}" for t in T_S + 95.0], "s"),
+    "tenths": ([f"{t:.1f}" for t in T_S], "s"),
+    "whole seconds": ([f"{t:.0f}" for t in T_S], "s"),
+    "16 bits ms": (overflowing(16, 1e3, 60000), "ms"),
+    "16 bits us": (overflowing(16, 1e6, 60000), "us"),
+    "32 bits us": (overflowing(32, 1e6, 2**32 - 5_000_000), "us"),
+    "16 bits signed": ([str((round(t * 1e3) + 60000) % 65536 - 32768) for t in T_S], "ms"),
+    "face of a minute": ([f"{(t + 50.0) % 60.0:.3f}" for t in T_S], "s"),
+}
+
+
+@pytest.mark.parametrize("kind", CLOCKS)
+def test_clocks_are_repaired_and_said(kind: str, tmp_path: Path) -> None:
+    times, unit = CLOCKS[kind]
+    conversion = converted(tmp_path, lines(times), unit)
+    (flight,) = conversion.flights
+    assert (len(flight), conversion.unexplained_rows) == (N, 0)
+    assert actions(conversion) == {"retimed"}
+    assert 1.0 / flight.step_s == pytest.approx(RATE_Hz, rel=1e-3)
+    assert worst_error(conversion) < 0.05
+
+
+TEXTS: Final = {
+    "thousands": ([f'"{1e3 * t + 500.0:,.1f}"' for t in T_S], "ms"),
+    "label": ([f"t={t:.3f}" for t in T_S], "s"),
+    "unit": ([f"{1e3 * t:.1f} ms" for t in T_S], "ms"),
+    "date": (
+        [f"02/01/2026 23:59:{50 + t:06.3f}" if t < 10 else f"03/01/2026 00:00:{t - 10:06.3f}" for t in T_S],
+        "s",
+    ),
+    "compact date": (
+        [f"20260102_2359{50 + t:06.3f}" if t < 10 else f"20260103_0000{t - 10:06.3f}" for t in T_S],
+        "s",
+    ),
+    "brackets": ([f"[2026-01-02 03:04:{t:06.3f}]" for t in T_S], "s"),
+    "noon": ([f"11:59:{50 + t:06.3f} AM" if t < 10 else f"12:00:{t - 10:06.3f} PM" for t in T_S], "s"),
+    "midnight": ([f"11:59:{50 + t:06.3f} PM" if t < 10 else f"12:00:{t - 10:06.3f} AM" for t in T_S], "s"),
+    "colons": ([f"03:04:{int(t):02d}:{round(1e3 * t) % 1000:03d}" for t in T_S], "s"),
+}
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_times_are_read_as_programs_write_them(kind: str, tmp_path: Path) -> None:
+    times, unit = TEXTS[kind]
+    conversion = converted(tmp_path, lines(times), unit)
+    assert [len(flight) for flight in conversion.flights] == [N]
+    assert worst_error(conversion) < 0.05
+
+
+@pytest.mark.parametrize("back_s", [0.3, 0.305, 7.5])
+def test_a_clock_that_is_set_back_begins_another_flight(back_s: float, tmp_path: Path) -> None:
+    times = T_S - back_s * (np.arange(N) >= 800)
+    conversion = converted(tmp_path, lines(times))
+    assert [len(flight) for flight in conversion.flights] == [800, 700]
+    assert "falls from" in conversion.flights[1].meta["cut"]
+
+
+def test_values_that_a_failed_link_repeats_are_left_out(tmp_path: Path) -> None:
+    rows = np.arange(N)
+    rows[400:700] = 400
+    conversion = converted(tmp_path, lines(T_S, VALUES[rows]))
+    assert [len(flight) for flight in conversion.flights] == [401, 800]
+    (change,) = conversion.changes
+    assert (change.action, change.rows) == ("left out", 299)
+    assert "stand still although the motors work (4.000 to 6.990 s)" in change.reason
+
+
+def test_angles_alone_that_stand_still_are_left_out(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    values[400:700, 2:] = values[400, 2:]
+    conversion = converted(tmp_path, lines(T_S, values))
+    assert [len(flight) for flight in conversion.flights] == [401, 800]
+
+
+def test_an_arm_that_rests_on_its_table_is_no_failed_link(tmp_path: Path) -> None:
+    flown_s = np.clip(T_S - 3.0, 0.0, None)
+    volts = np.where(T_S < 3.0, 1.0, 7.0 + np.sin(5.0 * T_S))
+    elevation_deg = -27.0 + 13.5 * (1.0 - np.cos(np.pi * np.clip(flown_s / 6.0, 0.0, 1.0)))
+    values = np.column_stack((volts, volts, elevation_deg, 6.0 * np.sin(2.1 * flown_s), 12.0 * flown_s))
+    conversion = converted(tmp_path, lines(T_S, values))
+    assert not conversion.changes
+
+
+def test_a_time_that_never_changes_is_refused_with_its_value(tmp_path: Path) -> None:
+    with pytest.raises(FlightDataError, match=r"the time 'time \[s\]' is 3 in all 1500 rows"):
+        converted(tmp_path, lines(np.full(N, 3.0)))
+
+
+def test_a_time_with_few_numbers_is_refused_with_the_first_row_without_one(tmp_path: Path) -> None:
+    times = [f"{t:.3f}" if row % 3 == 0 else "" for row, t in enumerate(T_S)]
+    with pytest.raises(FlightDataError, match=r"a number in only 500 of 1500 rows .*row 2\)"):
+        converted(tmp_path, lines(times))
+
+
+FAULTS: Final = ("lose", "double", "swap", "cut", "blank", "digit", "merge")
+
+
+@pytest.mark.medium
+@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(
+    st.lists(st.tuples(st.sampled_from(FAULTS), st.integers(5, N - 10)), min_size=1, max_size=25),
+    st.sampled_from([("%.4f", 1.0), ("%.1f", 1.0), ("%.4g", 1.0)]),
+)
+def test_every_row_is_kept_or_reported(
+    tmp_path_factory: pytest.TempPathFactory, faults: list[tuple[str, int]], clock: tuple[str, float]
+) -> None:
+    rows = lines([clock[0] % t for t in T_S])
+    for kind, place in faults:
+        row = min(place, len(rows) - 2)
+        cells = rows[row].split(",")
+        if kind == "lose":
+            del rows[row]
+        elif kind == "double":
+            rows.insert(row, rows[row])
+        elif kind == "swap":
+            rows[row], rows[row + 1] = rows[row + 1], rows[row]
+        elif kind == "cut":
+            rows[row] = rows[row][: 1 + place % 30]
+        elif kind == "blank":
+            cells[place % len(cells)] = ""
+            rows[row] = ",".join(cells)
+        elif kind == "digit":
+            at = place % len(rows[row])
+            rows[row] = rows[row][:at] + rows[row][at + 1 :] if rows[row][at] != "," else rows[row]
+        else:
+            rows[row] += rows.pop(row + 1)
+    try:
+        conversion = converted(tmp_path_factory.mktemp("rows"), rows)
+    except FlightDataError as error:
+        assert "time" in str(error) or "row" in str(error)
+        return
+    assert conversion.file_rows == len(rows)
+    assert conversion.unexplained_rows == 0
+    assert all(change.rows or change.action == "resampled" for change in conversion.changes)
+    kept = sum(len(flight) for flight in conversion.flights)
+    assert kept >= N - 12 * len(faults) - 30
