@@ -121,16 +121,6 @@ def test_the_time_of_a_landing_that_took_too_long_is_counted_from_its_beginning(
     assert fault.value == pytest.approx(12.0, abs=0.1)
 
 
-def test_a_voltage_is_valid_for_the_time_it_names(harness: Harness) -> None:
-    harness.arm()
-    harness.ask(d.StreamMessage(0))
-    harness.send(d.VoltagesMessage(1.0, 1.0, 20))
-    harness.tick(19)
-    assert harness.state is State.STREAMED
-    harness.tick(4)
-    assert harness.state is State.HOLD
-
-
 def test_an_arm_must_lie_still_at_a_stretch_to_have_landed(flying: Harness) -> None:
     flying.glide(0, REST_DEG + 3, 60)
     flying.ask(d.LandMessage(0))

@@ -480,13 +480,16 @@ def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself(
     assert harness.state is State.HOLD
 
 
-def test_a_streamed_voltage_that_asks_for_hours_gets_the_parameter(harness: Harness) -> None:
+@pytest.mark.parametrize(("named_ms", "valid_ms"), [(20, 20), (60_000, 100)])
+def test_a_streamed_voltage_acts_for_its_time_or_the_longest_allowed(
+    harness: Harness, named_ms: int, valid_ms: int
+) -> None:
     harness.arm()
     harness.ask(d.StreamMessage(0))
-    harness.send(d.VoltagesMessage(1.0, 1.0, 60000))
-    harness.tick(99)
+    harness.send(d.VoltagesMessage(1.0, 1.0, named_ms))
+    harness.tick(valid_ms - 1)
     assert harness.state is State.STREAMED
-    harness.tick(5)
+    harness.tick(4)
     assert harness.state is State.HOLD
 
 

@@ -31,7 +31,14 @@ from heli_host.declaration import (
     State,
     VoltagesMessage,
 )
-from heli_host.errors import CommandRefused, ControllerError, ParameterError, SetpointError, WaitTimeout
+from heli_host.errors import (
+    CommandRefused,
+    ControllerError,
+    ParameterError,
+    PlanError,
+    SetpointError,
+    WaitTimeout,
+)
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 from heli_host.ui.cli import run
@@ -119,6 +126,13 @@ def test_leaving_the_block_by_an_error_on_the_table_stops_the_motors() -> None:
         heli.arm()
         raise KeyboardInterrupt
     assert executed(board) == [MessageId.ARM, MessageId.STOP]
+
+
+def test_a_heli_without_a_function_for_plans_says_where_it_is() -> None:
+    board = FakeBoard()
+    with connected(board) as heli, pytest.raises(PlanError, match="give fly_plans=heli_host"):
+        heli.fly("hover")
+    assert executed(board) == []
 
 
 def test_a_failed_callback_does_not_keep_the_motors_running() -> None:

@@ -19,7 +19,6 @@ from heli_host.declaration import (
     MessageId,
     Param,
     ParamSetMessage,
-    ParamsReadMessage,
     ParamsSaveMessage,
     ParamsSource,
     Reset,
@@ -134,16 +133,6 @@ def test_encoder_counters_restart_at_a_reset() -> None:
 
 
 @pytest.mark.medium
-def test_the_stop_input_cuts_the_motors_by_itself() -> None:
-    host = Host()
-    host.drive(1.9, 1.9)
-    assert host.world.native.volts_V[0] > 0.0
-    host.world.board.sim.set_stop(True)
-    host.wait(1)
-    assert host.world.native.volts_V == [0.0, 0.0]
-
-
-@pytest.mark.medium
 def test_a_pinned_axis_does_not_move_while_the_others_fly() -> None:
     host = Host()
     host.drive(2.6, 2.1)
@@ -167,27 +156,6 @@ def test_what_the_board_reports_are_the_true_angles_to_one_count() -> None:
     batches = [frame.payload for frame in host.frames if frame.id == MessageId.TELEMETRY]
     raw = TelemetryDecoder().decode(batches).raw[:, COUNTS]
     assert np.abs(raw - angles_rad * 4096 / (2 * np.pi)).max() <= 1.0
-
-
-@pytest.mark.medium
-def test_saved_parameters_survive_in_the_flash_file(tmp_path: Path) -> None:
-    flash = tmp_path / "flash.bin"
-    host = Host(world(flash=str(flash)))
-    assert host.hello().params_source == ParamsSource.DEFAULTS
-    assert host.order(ParamSetMessage, Param.HOVER_V, 1.25).result == Result.OK
-    assert host.order(ParamsSaveMessage).result == Result.OK
-    again = Host(world(flash=str(flash)))
-    assert again.hello().params_source == ParamsSource.STORED
-    values = again.ask(ParamsReadMessage, Param.HOVER_V)
-    assert np.frombuffer(values[3:7], np.float32)[0] == 1.25
-
-
-@pytest.mark.medium
-def test_a_flash_file_of_another_length_is_refused(tmp_path: Path) -> None:
-    flash = tmp_path / "flash.bin"
-    flash.write_bytes(b"short")
-    with pytest.raises(Exception, match="delete it"):
-        world(flash=str(flash))
 
 
 @pytest.mark.medium

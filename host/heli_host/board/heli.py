@@ -767,7 +767,10 @@ class Heli:
             The log exists already, or cannot be created. The motors stay off.
         """
         if self._fly_plans is None:
-            raise PlanError("this helicopter cannot fly plans", "connect to it with heli_host.connect")
+            raise PlanError(
+                "a Heli that is made from a session cannot fly plans",
+                "connect with heli_host.connect, or give fly_plans=heli_host.fly.runner.fly",
+            )
         rig = transport_rig(self.session.transport)
         return self._fly_plans(self, plans, log_path=log, overwrite=overwrite, rig=rig)
 

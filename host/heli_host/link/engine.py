@@ -13,7 +13,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from typing import ClassVar, Final, Generic, Protocol, TypeAlias, TypeVar
+from typing import ClassVar, Final, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 from heli_host.declaration import (
     LINK_HASH,
@@ -438,6 +438,16 @@ class Received:
     statuses: list[StatusMessage] = field(default_factory=list)  # The board's counters
 
 
+class _ParserCounts(NamedTuple):
+    """Counters of the frame parser."""
+
+    frames_ok: int
+    frames_bad: int
+    frames_lost: int
+    bytes_received: int
+    bytes_dropped: int
+
+
 class Engine:
     """The state of one session. It has no lock and no thread: callers serialise all calls.
 
@@ -459,20 +469,19 @@ class Engine:
         self._sent_tick = self._ping_tick = 0
         self._malformed = 0
         self._board: StatusMessage | None = None
-        self._baseline = (0, 0, 0, 0, 0)
+        self._counts_at_welcome = _ParserCounts(0, 0, 0, 0, 0)
 
     def counters(self) -> LinkCounters:
         """Return all counts since the first welcome."""
-        frames_ok, frames_bad, frames_lost, received, dropped = (
-            present - first for present, first in zip(self._parser_counts(), self._baseline, strict=True)
-        )
+        now, at_welcome = self._parser_counts(), self._counts_at_welcome
+        counts = _ParserCounts(*(present - before for present, before in zip(now, at_welcome, strict=True)))
         streams, account = self.streams, self.telemetry.account
         return LinkCounters(
-            frames_ok=frames_ok,
-            frames_bad=frames_bad + self._malformed + self.telemetry.malformed,
-            frames_lost=frames_lost,
-            bytes_received=received,
-            bytes_dropped=dropped,
+            frames_ok=counts.frames_ok,
+            frames_bad=counts.frames_bad + self._malformed + self.telemetry.malformed,
+            frames_lost=counts.frames_lost,
+            bytes_received=counts.bytes_received,
+            bytes_dropped=counts.bytes_dropped,
             retries=self.commands.retries,
             reconnects=self.handshake.reconnects,
             restarts=self.handshake.restarts,
@@ -586,7 +595,7 @@ class Engine:
         self._last_sent_s = self._last_ping_s = now_s - HEARTBEAT_S
         if welcome is Welcome.FIRST:
             self.telemetry.discard_held()
-            self._baseline = self._parser_counts()
+            self._counts_at_welcome = self._parser_counts()
         elif welcome is Welcome.SAME_START:
             received.events.append(self._link_event(LINK_RESTORED, "the link is back", wall_ns))
             self.commands.hasten(now_s)
@@ -638,10 +647,10 @@ class Engine:
         self._seq = (self._seq + 1) & 0xFF
         return encode_frame(message.ID, self._seq, message.pack())
 
-    def _parser_counts(self) -> tuple[int, int, int, int, int]:
-        """Return the counters of frames and bytes, from which those of the session are differences."""
+    def _parser_counts(self) -> _ParserCounts:
+        """Return the counters of frames and bytes since the connection was opened."""
         parser = self.parser
-        return (
+        return _ParserCounts(
             parser.frames_ok,
             parser.frames_bad,
             parser.frames_lost,

@@ -68,11 +68,11 @@ def main() -> None:
     parser.add_argument("seeds", nargs="*", type=int, default=list(range(7000, 7004)))
     options = parser.parse_args()
     total = quiet = reported = 0
-    for case, result, spent_s in diagnosed_cases(map(calm_case, options.seeds)):
+    for case, result, cpu_s in diagnosed_cases(map(calm_case, options.seeds)):
         wrong, missed = false_names(case, result), unreported(case, result)
         total, quiet, reported = total + 1, quiet + (not wrong), reported + (not missed)
         word = "WRONG" if wrong else "MISSED" if missed else "right"
-        print(f"{case.name:45} {word:6} {result['verdict']:12} {spent_s:5.1f} s", flush=True)
+        print(f"{case.name:45} {word:6} {result['verdict']:12} {cpu_s:5.1f} s", flush=True)
         for cause in result["causes"]:
             state = "confirmed" if cause.get("confirmed") else "not confirmed"
             print(f"    {cause['effect']} ({cause['confidence']:.2f}, {state}): {cause['sentence']}")

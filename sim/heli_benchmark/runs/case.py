@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 import heli_lab
 import heli_sim
@@ -60,8 +60,16 @@ def diagnosis_json(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFIT
     return to_json(run_diagnosis(rig, flights, refits))
 
 
-def diagnosed_cases(cases: Iterable[_Case]) -> Iterator[tuple[_Case, dict[str, Any], float]]:
-    """Fly and diagnose `cases`: yield each with its result as JSON and the processor time in s.
+class DiagnosedCase(NamedTuple, Generic[_Case]):
+    """A case and its diagnosis."""
+
+    case: _Case
+    result: dict[str, Any]  # The diagnosis as JSON
+    cpu_s: float  # Processor time of the diagnosis
+
+
+def diagnosed_cases(cases: Iterable[_Case]) -> Iterator[DiagnosedCase[_Case]]:
+    """Fly and diagnose `cases`.
 
     A case whose rig leaves the safe range is reported and skipped.
     """
@@ -73,7 +81,7 @@ def diagnosed_cases(cases: Iterable[_Case]) -> Iterator[tuple[_Case, dict[str, A
             continue
         started_s = time.process_time()
         result = diagnosis_json(load_rig(case.rig_name), flights)
-        yield case, result, time.process_time() - started_s
+        yield DiagnosedCase(case, result, time.process_time() - started_s)
 
 
 def timed_diagnosis(rig: Rig, flights: tuple[Flight, Flight], refits: int = REFITS) -> dict[str, Any]:

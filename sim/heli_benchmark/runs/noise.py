@@ -74,13 +74,13 @@ class NoiseCounts:
     false_names: int = 0  # Names of causes that are not hidden
     named_but_unexplained: int = 0  # Cases that are ``unexplained`` although every hidden cause is named
     cases: int = 0  # All cases
-    spent_s: float = 0.0  # Their processor time
+    cpu_s: float = 0.0  # Their processor time
 
-    def add(self, case: NoiseCase, result: Mapping[str, Any], spent_s: float) -> None:
-        """Count the `result` of a `case`, which took `spent_s` of processor time."""
+    def add(self, case: NoiseCase, result: Mapping[str, Any], cpu_s: float) -> None:
+        """Count the `result` of a `case`, which took `cpu_s` of processor time."""
         causes = {cause["effect"] for cause in result["causes"]}
         hidden = {id_ for id_, _ in case.effects}
-        self.cases, self.spent_s = self.cases + 1, self.spent_s + spent_s
+        self.cases, self.cpu_s = self.cases + 1, self.cpu_s + cpu_s
         self.nothing += not hidden
         self.explained += not hidden and result["verdict"] == "explained"
         self.hidden += len(hidden)
@@ -92,7 +92,7 @@ class NoiseCounts:
         return (
             f"explained {self.explained} of {self.nothing}, causes named {self.named} of {self.hidden}, "
             f"false names {self.false_names}, all named but unexplained {self.named_but_unexplained} of "
-            f"{self.cases}, {self.spent_s / max(self.cases, 1):.1f} s"
+            f"{self.cases}, {self.cpu_s / max(self.cases, 1):.1f} s"
         )
 
 
@@ -102,10 +102,10 @@ def main() -> None:
     parser.add_argument("seeds", nargs="*", type=int, default=list(range(8000, 8020)))
     options = parser.parse_args()
     counts = {kind: NoiseCounts() for kind in NOISE_KINDS}
-    for case, result, spent_s in diagnosed_cases(map(noise_case, options.seeds)):
-        counts[case.kind].add(case, result, spent_s)
+    for case, result, cpu_s in diagnosed_cases(map(noise_case, options.seeds)):
+        counts[case.kind].add(case, result, cpu_s)
         causes = ", ".join(f"{cause['effect']} ({cause['confidence']:.2f})" for cause in result["causes"])
-        print(f"{case.name:55} {result['verdict']:12} {spent_s:5.1f} s  {causes}", flush=True)
+        print(f"{case.name:55} {result['verdict']:12} {cpu_s:5.1f} s  {causes}", flush=True)
     for kind, count in counts.items():
         print(f"{kind:10} {count}")
 

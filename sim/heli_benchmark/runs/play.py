@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("seeds", nargs="*", type=int, default=list(range(9000, 9009)))
     options = parser.parse_args()
     named = within = cases = unexplained = false_names = 0
-    for case, result, spent_s in diagnosed_cases(map(play_case, options.seeds)):
+    for case, result, cpu_s in diagnosed_cases(map(play_case, options.seeds)):
         ((effect, truth_deg),) = case.effects
         causes = {cause["effect"]: cause for cause in result["causes"]}
         cases, false_names = cases + 1, false_names + len(causes.keys() - {effect})
@@ -69,7 +69,7 @@ def main() -> None:
             unexplained += result["verdict"] == "unexplained"
             size = f"{value_deg:.3f} ± {std_deg:.3f} deg, truth {truth_deg:.3f}"
         print(
-            f"{case.name:36} {result['verdict']:12} {spent_s:5.1f} s  {size}; {', '.join(causes)}", flush=True
+            f"{case.name:36} {result['verdict']:12} {cpu_s:5.1f} s  {size}; {', '.join(causes)}", flush=True
         )
     print(
         f"named {named} of {cases}, sizes within two standard errors {within} of {named}, "

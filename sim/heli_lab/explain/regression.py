@@ -360,6 +360,14 @@ def _has_sign_of_own_rate(term: EquationTerm) -> bool:
     return f"tanh({axis}_rate" in term.term.key
 
 
+class _PossibleEffect(NamedTuple):
+    """An effect that may be equivalent to an equation."""
+
+    candidate: Candidate
+    start: Mapping[str, float]  # Start values of its parameters
+    score_nats: float | None  # Predicted gain of log-likelihood; None if the effect has no derivative
+
+
 @dataclass
 class ListedEffects:
     """Search for an effect of the catalogue that explains the flights as well as an equation does."""
@@ -383,11 +391,11 @@ class ListedEffects:
         required_margin = equation_margin - max(MIN_MARGIN, lead)
         # The search ends after enough refits have reached about the gain that their score predicted.
         confirmed_scores = 0
-        for effect, start, score in self._possible_effects(equation, warm_start):
+        for effect, start, score_nats in self._possible_effects(equation, warm_start):
             complexity_penalty = self.complexity_penalty(effect)
-            if score is not None and (
+            if score_nats is not None and (
                 confirmed_scores >= SHORTLIST
-                or EXPECTED_REFIT_GAIN * score <= complexity_penalty + MIN_MARGIN
+                or EXPECTED_REFIT_GAIN * score_nats <= complexity_penalty + MIN_MARGIN
             ):
                 break
             rival = self.refit(effect, start, warm_start)
@@ -399,13 +407,11 @@ class ListedEffects:
             ):
                 return effect.id
             gain = margin + complexity_penalty - self.base.log_likelihood
-            confirmed_scores += score is not None and gain >= SHORTLIST_SHARE * score
+            confirmed_scores += score_nats is not None and gain >= SHORTLIST_SHARE * score_nats
         return None
 
-    def _possible_effects(
-        self, equation: Equation, warm_start: Hypothesis
-    ) -> Iterator[tuple[Candidate, Mapping[str, float], float | None]]:
-        """Yield effects that may be equivalent, each with start values and its score in nats, the best first.
+    def _possible_effects(self, equation: Equation, warm_start: Hypothesis) -> Iterator[_PossibleEffect]:
+        """Yield effects that may be equivalent, the best first.
 
         Friction that holds an axis has no derivative, and thus no score. It comes first, at its typical size.
         """
@@ -413,10 +419,10 @@ class ListedEffects:
         dry_friction = {f"coulomb_friction.{axis}" for axis in _axes_of_equation(equation)}
         for kind in self.eligible_effects:
             if kind.id in dry_friction:
-                yield typical_candidate(kind), kind.typical, None
+                yield _PossibleEffect(typical_candidate(kind), kind.typical, None)
         for scored in screening.effects(self.eligible_effects)[: 2 * SHORTLIST]:
             start = scored.candidate.start_values(scored.coefficients)
-            yield scored.candidate, start, scored.log_likelihood_gain
+            yield _PossibleEffect(scored.candidate, start, scored.log_likelihood_gain)
 
     @property
     def eligible_effects(self) -> list[EffectSpec]:

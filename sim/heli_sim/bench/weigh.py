@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -201,6 +201,14 @@ def _measured_number(rig: Rig, name: str, value: float, tolerance: float, source
     return Number(float(value), rig[name].unit, float(tolerance), source)
 
 
+class _Acceleration(NamedTuple):
+    """Acceleration of an axis, with its derivatives."""
+
+    value: float
+    by_angle: float
+    by_rate: float
+
+
 class _BenchModel:
     """Predicts the readings of bench tests with the model of the rig."""
 
@@ -212,31 +220,31 @@ class _BenchModel:
         self.names = model.parameter_names
         self.values: Floats = model.parameter_values(rig)
 
-    def _acceleration_and_derivative(
-        self, p: Floats, axis: int, angles_rad: Floats
-    ) -> tuple[float, float, float]:
-        """Return the acceleration of an axis at rest, and its derivatives by angle and rate.
-
-        The other axes are locked.
-        """
+    def _acceleration_at_rest(self, p: Floats, axis: int, angles_rad: Floats) -> _Acceleration:
+        """Return the acceleration of an axis at rest while the other axes are locked."""
         locked = np.ones(3)
         locked[axis] = 0.0
         state = np.concatenate((angles_rad, np.zeros(3)))
         acceleration, by_state = (np.array(result) for result in self._function(state, p, locked))
-        return float(acceleration[axis, 0]), float(by_state[axis, axis]), float(by_state[axis, 3 + axis])
+        return _Acceleration(
+            value=float(acceleration[axis, 0]),
+            by_angle=float(by_state[axis, axis]),
+            by_rate=float(by_state[axis, 3 + axis]),
+        )
 
     def balance_deg(self, p: Floats, near_deg: float) -> float:
         """Return the angle of equilibrium that is nearest to the reading, by Newton's method."""
         angles = np.array([np.deg2rad(near_deg), 0.0, 0.0])
         for _ in range(_MAX_ITERATIONS):
-            value, slope, _ = self._acceleration_and_derivative(p, 0, angles)
-            if slope >= 0.0:
+            acceleration = self._acceleration_at_rest(p, 0, angles)
+            if acceleration.by_angle >= 0.0:
                 raise RigError(
                     f"the arm of this rig does not balance near {near_deg:g} degrees: it falls there",
                     "look at L_theta and the masses, or leave [balance] out",
                 )
-            angles[0] -= value / slope
-            if abs(value / slope) < 1e-12:
+            newton_step_rad = acceleration.value / acceleration.by_angle
+            angles[0] -= newton_step_rad
+            if abs(newton_step_rad) < 1e-12:
                 break
         return float(np.rad2deg(angles[0]))
 
@@ -245,7 +253,7 @@ class _BenchModel:
         axis = AXES.index(swing.axis)
         rest_deg = self.balance_deg(p, -20.0) if axis == 0 else 0.0
         angles_rad = np.deg2rad([rest_deg if axis == 0 else swing.elevation_deg, 0.0, 0.0])
-        _, by_angle, by_rate = self._acceleration_and_derivative(p, axis, angles_rad)
+        _, by_angle, by_rate = self._acceleration_at_rest(p, axis, angles_rad)
         # Damped oscillation x'' = by_angle x + by_rate x': the square of its angular frequency.
         frequency2 = -by_angle - 0.25 * by_rate**2
         if frequency2 <= 0.0:
@@ -287,8 +295,8 @@ def _with_masses(
             predicted += bench_model.swing(p, swing)
         return np.array(predicted)
 
-    measured = np.array([reading[2] for reading in readings])
-    reading_tolerances = np.array([reading[3] for reading in readings])
+    measured = np.array([reading.value for reading in readings])
+    reading_tolerances = np.array([reading.tolerance for reading in readings])
 
     def residuals(scaled: Floats) -> Floats:
         return np.concatenate(((predict(mean + scaled * tolerance) - measured) / reading_tolerances, scaled))
@@ -323,24 +331,31 @@ def _with_masses(
         after,
         names,
         [
-            Tested(reading_name, unit, reading, width, float(before_value), float(after_value))
-            for (reading_name, unit, reading, width), before_value, after_value in zip(
+            Tested(*reading, float(before_value), float(after_value))
+            for reading, before_value, after_value in zip(
                 readings, predict(mean), predict(final), strict=True
             )
         ],
     )
 
 
-def _table_of_readings(
-    balance: Balance | None, swings: Sequence[Swing]
-) -> list[tuple[str, str, float, float]]:
-    """Return name, unit, value and tolerance of each reading."""
-    readings = (
-        []
-        if balance is None
-        else [("elevation of balance", "deg", balance.elevation_deg, balance.tolerance_deg)]
-    )
+class _Reading(NamedTuple):
+    """A reading of a bench test."""
+
+    name: str
+    unit: str
+    value: float
+    tolerance: float
+
+
+def _table_of_readings(balance: Balance | None, swings: Sequence[Swing]) -> list[_Reading]:
+    """Return all readings of the tests of masses and lengths."""
+    readings = []
+    if balance is not None:
+        readings.append(_Reading("elevation of balance", "deg", balance.elevation_deg, balance.tolerance_deg))
     for swing in swings:
-        readings.append((f"{swing.swings} swings of {swing.axis}", "s", swing.seconds, swing.tolerance_s))
-        readings.append((f"decrement of {swing.axis}", "1", swing.decrement, swing.decrement_tolerance))
+        swings_name = f"{swing.swings} swings of {swing.axis}"
+        readings.append(_Reading(swings_name, "s", swing.seconds, swing.tolerance_s))
+        decrement_name = f"decrement of {swing.axis}"
+        readings.append(_Reading(decrement_name, "1", swing.decrement, swing.decrement_tolerance))
     return readings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -304,12 +304,20 @@ def _time_in_figure_s(event: FlightEvent, flight: Flight) -> float:
     return min(max(event.t_s - float(flight.t_s[0]), 0.0), flight.duration_s)
 
 
-def _state_runs(state: NDArray[np.uint8]) -> list[tuple[int, int, int]]:
-    """Return the stretches of equal state: first row, row after the last, and number of the state."""
+class _StateRun(NamedTuple):
+    """Consecutive rows in one state."""
+
+    start: int  # First row
+    stop: int  # Row after the last
+    state: int  # Number of the state
+
+
+def _state_runs(state: NDArray[np.uint8]) -> list[_StateRun]:
+    """Return the stretches of equal state."""
     edges = np.flatnonzero(np.diff(state)) + 1
     starts = [0, *edges.tolist()]
     stops = [*edges.tolist(), len(state)]
-    return [(start, stop, int(state[start])) for start, stop in zip(starts, stops, strict=True)]
+    return [_StateRun(start, stop, int(state[start])) for start, stop in zip(starts, stops, strict=True)]
 
 
 def _envelope(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
