@@ -116,6 +116,42 @@ def test_a_setpoint_never_replaces_a_column_that_a_name_calls_measured() -> None
     assert "the columns" not in subjects(guess)
 
 
+def low_passed(values: Floats, time_constant_s: float, step_s: float) -> Floats:
+    age_s = np.arange(0.0, 10.0 * time_constant_s, step_s)
+    weight = np.exp(-age_s / time_constant_s)
+    filtered: Floats = np.convolve(values - values[0], weight / weight.sum())[: values.size] + values[0]
+    return filtered
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("time_constant_s", [0.03, 0.2])
+def test_a_filtered_copy_of_an_angle_is_no_third_angle(time_constant_s: float) -> None:
+    source = piloted("quanser-course", "travel", 3, 25.0).flight
+    copy = low_passed(source.pitch_rad, time_constant_s, source.step_s)
+    table = flight_table(pitch2=copy)
+    columns = {name: column for name, column in table.columns.items() if name != "travel"}
+    with pytest.raises(
+        FlightDataError, match=r"the only angles are elevation \(elevation\) and pitch \(pitch\)"
+    ):
+        proposed(replace(table, columns=columns))
+    unnamed = {("t" if name == "t" else f"x{i}"): column for i, (name, column) in enumerate(columns.items())}
+    with pytest.raises(FlightDataError, match=r"left out: x5 \(a filtered copy of x2\)"):
+        proposed(replace(table, columns=unnamed))
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("missing", ["elevation", "pitch", "travel"])
+def test_two_angles_are_refused_though_another_column_could_be_the_third(missing: str) -> None:
+    rows = np.arange(piloted("quanser-course", "travel", 3, 25.0).flight.t_s.size)
+    other = np.cumsum(np.random.default_rng(5).normal(size=rows.size)) * 1e-3
+    table = flight_table(zz=other)
+    columns = {name: column for name, column in table.columns.items() if name != missing}
+    with pytest.raises(
+        FlightDataError, match=rf"the only angles are .* three axes; add a column with {missing}"
+    ):
+        proposed(replace(table, columns=columns))
+
+
 @pytest.mark.medium
 def test_names_that_the_motion_contradicts_are_kept_and_doubted() -> None:
     guess = proposed(renamed(flight_table(), elevation="travel", travel="elevation"))
@@ -212,5 +248,5 @@ def test_a_file_without_voltages_is_refused_with_the_reason() -> None:
     with pytest.raises(FlightDataError, match="as an axis follows its setpoint"):
         proposed(replace(table, columns={**angles, **setpoints}))
     few = {name: table.columns[name] for name in ("t", "pitch", "travel", "front")}
-    with pytest.raises(FlightDataError, match="fewer than five columns can be an angle or a voltage"):
+    with pytest.raises(FlightDataError, match=r"the only angles are pitch \(pitch\) and travel \(travel\)"):
         proposed(replace(table, columns=few))

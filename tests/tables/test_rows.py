@@ -278,3 +278,16 @@ def test_every_row_is_kept_or_reported(
     assert all(change.rows or change.action == "resampled" for change in conversion.changes)
     kept = sum(len(flight) for flight in conversion.flights)
     assert kept >= N - 12 * len(faults) - 30
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_blank_cells_keep_their_columns(separator: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    rows = [
+        [f"{t:.2f}", f"{np.sin(t):.4f}", f"{t:.3f}" if i % 4 == 3 else "", "7.5"] for i, t in enumerate(T_S)
+    ]
+    path.write_text("\n".join(separator.join(row) for row in [["t", "x", "slow", "y"], *rows]) + "\n")
+    table = read_table(path)
+    assert not table.changes
+    assert np.isfinite(table.columns["slow"].values).sum() == N // 4
+    assert (table.columns["y"].values == 7.5).all()

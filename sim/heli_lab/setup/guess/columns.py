@@ -59,6 +59,11 @@ _MAX_COLUMNS: Final = 14
 """Largest number of columns without names that are compared by the motion."""
 _DUPLICATE_CORRELATION: Final = 0.99999
 """Absolute correlation above which two columns are the same signal, in another unit or with another sign."""
+_FILTER_LAGS_S: Final = tuple(round(0.01 * number, 2) for number in range(-20, 21))
+"""Lags with which a filtered copy may follow its origin [s]; longer ones make a filter useless."""
+_FILTERED_MATCH: Final = 0.95
+"""Correlation of the rates of two columns from which on one is a filtered copy of the other. On 16 simulated
+flights, low-passes with time constants up to 0.3 s give 0.96 and more; axes and setpoints up to 0.84."""
 _RATE_MATCH: Final = 0.9
 """Share of a column's variance that another column's derivative explains, from which on it counts as a
 rate."""
@@ -154,10 +159,38 @@ class ColumnOptions:
         has_angles = all(self.by_role[axis] for axis in AXES)
         if has_angles and not any(self.by_role[role] for role in VOLTAGE_ROLES):
             return FlightDataError(f"{source}: no column is a motor voltage{detail}", _FIX)
+        named_axes = [axis for axis in AXES if axis in self.stated]
+        if len(named_axes) == 2 and not all(self.by_role[axis] for axis in AXES):
+            return two_angles_only(source, {axis: self.by_role[axis][0] for axis in named_axes})
         columns = ", ".join(self.columns()) or "none"
         return FlightDataError(
-            f"{source}: fewer than five columns can be an angle or a voltage: {columns}{detail}", _FIX
+            f"{source}: fewer than five columns can be an angle or a voltage: {columns}{detail}; a rig with "
+            "three axes has three angles and two voltages",
+            _FIX,
         )
+
+
+def two_angles_only(source: str, angles: Mapping[str, str]) -> FlightDataError:
+    """Describe a table with two angles, `angles` by axis."""
+    (missing,) = (axis for axis in AXES if axis not in angles)
+    columns = " and ".join(f"{axis} ({column})" for axis, column in angles.items())
+    return FlightDataError(
+        f"{source}: the only angles are {columns}, so this is not a log of a rig with three axes",
+        f"add a column with {missing}; a rig with two axes needs another model than those of heli-host",
+    )
+
+
+def check_third_angle(
+    source: str, regressions: Mapping[str, RegressionFit], best: Assignment, options: ColumnOptions
+) -> None:
+    """Refuse a table whose names state two angles, if the column for the third does not move like it."""
+    unstated = [axis for axis in AXES if axis not in options.stated]
+    if len(unstated) != 1:
+        return
+    # Travel follows pitch, so a wrong column for pitch moves neither with the voltages nor with travel.
+    axes = ("pitch", "travel") if unstated == ["pitch"] else unstated
+    if min(regressions[axis].log_likelihood_ratio for axis in axes) < DECISIVE_NATS:
+        raise two_angles_only(source, {axis: best.columns[axis] for axis in AXES if axis not in unstated})
 
 
 def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> ColumnOptions:
@@ -252,6 +285,8 @@ def _without_copies(
     for name in columns:
         if kept and _are_copies(signals, name, kept[0]):
             left_out[name] = f"the same as {kept[0]}"
+        elif kept and _filter_lag_s(signals, name, kept[0]) is not None:
+            left_out[name] = f"a filtered copy of {kept[0]}"
         elif measured and name not in measured:
             left_out[name] = f"{measured[0]} is measured"
         else:
@@ -286,10 +321,21 @@ def _without_rates(
         # Two motors may get the same voltage.
         others = [other for other in (*named, *kept) if not {name, other} <= motors]
         copied = next((other for other in others if _are_copies(signals, name, other)), None)
-        if copied is None:
-            kept.append(name)
-        else:
+        lags_s = {other: _filter_lag_s(signals, name, other) for other in others if name not in motors}
+        origin = next((other for other, lag_s in lags_s.items() if lag_s is not None), None)
+        if copied is not None:
             left_out[name] = f"the same as {copied}"
+        elif origin is None:
+            kept.append(name)
+        elif (lags_s[origin] or 0.0) < 0.0 and origin in named:
+            # An axis follows it, so it may be a setpoint: a third angle and voltages are checked for that.
+            kept.append(name)
+        elif (lags_s[origin] or 0.0) < 0.0 and origin not in file.encoders:
+            # The copy came first: the origin is ahead of it.
+            kept[kept.index(origin)] = name
+            left_out[origin] = f"a filtered copy of {name}"
+        else:
+            left_out[name] = f"a filtered copy of {origin}"
     left_out |= dict.fromkeys(kept[_MAX_COLUMNS:], f"behind the first {_MAX_COLUMNS} columns")
     return kept[:_MAX_COLUMNS]
 
@@ -297,6 +343,21 @@ def _without_rates(
 def _are_copies(signals: Signals, name: str, other: str) -> bool:
     """Whether two columns are the same signal, in another unit or with another sign."""
     return abs_correlation(signals.raw[name], signals.raw[other]) > _DUPLICATE_CORRELATION
+
+
+def _filter_lag_s(signals: Signals, name: str, origin: str) -> float | None:
+    """Return the lag of a column behind another one whose filtered copy it is [s]; None if it is no copy.
+
+    Their rates are compared, because two columns that rise steadily resemble each other without a cause.
+    """
+    rate, origin_rate = signals.filtered[name].rate, signals.filtered[origin].rate
+    inner = signals.inner
+    matches = {
+        lag_s: abs_correlation(delay(origin_rate, lag_s)[inner], rate[inner]) for lag_s in _FILTER_LAGS_S
+    }
+    lag_s = max(matches, key=lambda each: matches[each])
+    # Two motors may get almost the same voltage, but at the same time.
+    return lag_s if lag_s != 0.0 and matches[lag_s] > _FILTERED_MATCH else None
 
 
 def _rate_correlation(signals: Signals, name: str, origin: str) -> float:

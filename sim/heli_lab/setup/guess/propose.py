@@ -15,6 +15,7 @@ from heli_sim.rig import Rig, load_rig, rig_names
 
 from heli_lab.setup.guess.columns import (
     PreparedFile,
+    check_third_angle,
     check_voltages,
     column_ambiguities,
     column_options,
@@ -210,6 +211,7 @@ def propose(
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
     ambiguities += doubtful_columns + unit_ambiguities
+    check_third_angle(source, regressions, assignment, options)
     ambiguities += check_voltages(source, regressions, assignment, options, files)
     # Signs: the axes have to accelerate in the direction of their causes.
     signs = fewest_sign_changes(regressions, flights.feedback(), known)
