@@ -114,12 +114,6 @@ def test_a_plan_is_flown_landed_and_logged(tmp_path: Path) -> None:
     assert len(log.link) >= 10 and log.link[-1]["board_frames_bad"] == 0
 
 
-def test_the_same_seed_gives_the_same_log_byte_for_byte(tmp_path: Path) -> None:
-    flown(tmp_path / "a.mcap")
-    flown(tmp_path / "b.mcap")
-    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
-
-
 @pytest.mark.slow
 def test_the_boards_setpoint_is_the_plan_on_device_time(tmp_path: Path) -> None:
     plan = load_plan("sine")
