@@ -390,8 +390,8 @@ def test_fly_warns_of_another_supply_and_flies(terminal: Terminal, tmp_path: Pat
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
-    ["fly short.toml", "setpoint --take-off --travel-deg 5", f"law fly {LAW}"],
-    ids=["fly", "setpoint", "law fly"],
+    ["fly short.toml", "setpoint --take-off --travel-deg 5"],
+    ids=["fly", "setpoint"],
 )
 def test_on_a_port_a_wrong_scale_is_refused_with_the_command(
     terminal: Terminal, tmp_path: Path, words: str

@@ -143,7 +143,7 @@ def test_the_emulated_due_names_a_dead_travel_encoder_as_soon_as_the_native_boar
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
-    [SweptCase("friction", "drift"), SweptCase("play and friction", "identify")],
+    [SweptCase("play and friction", "identify"), SweptCase("friction", "drift")][: samples(2, 1)],
     ids=lambda case: str(case.rig),
 )
 def test_dry_friction_and_play_are_not_taken_for_a_dead_encoder(case: SweptCase) -> None:
@@ -273,7 +273,7 @@ def test_no_built_in_plan_trips_on_the_papers_rig(plan: str, gains: str | None, 
 def test_no_healthy_flight_of_a_random_rig_trips(tmp_path: Path) -> None:
     chance = np.random.default_rng(12)
     healthy = 0
-    for number in range(samples(200, 8)):
+    for number in range(samples(200, 4)):
         rig = random_rig("makki2024", chance)
         if rig is None:
             continue
@@ -285,7 +285,7 @@ def test_no_healthy_flight_of_a_random_rig_trips(tmp_path: Path) -> None:
             without = outcome(path, EVERY_AXIS, OFF, tmp_path / "a.mcap")
             assert without != "completed", f"seed 12, rig {number}: {text}"
         healthy += text == "completed"
-    assert healthy >= 0.8 * samples(200, 8)
+    assert healthy >= 0.8 * samples(200, 4)
 
 
 @pytest.mark.slow
