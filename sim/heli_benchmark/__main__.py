@@ -28,7 +28,12 @@ _PROCESSES = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the cases and report."""
+    """Run the cases and report; with `zoo` first, judge the import of logs instead."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if words[:1] == ["zoo"]:
+        from heli_benchmark.zoo.run import main as judge_zoo
+
+        return judge_zoo(words[1:])
     parser = argparse.ArgumentParser(prog="python -m heli_benchmark", description=__doc__)
     add_choice(parser)
     parser.add_argument("--keep", action="store_true", help="use results of any version of the code")
@@ -39,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--flights", action="store_true", help="only fly, and print how visible each cause is"
     )
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(words)
     if options.read:
         return _print_earlier_results(options)
     cases = chosen(_alternate_clean_and_disturbed(), options)

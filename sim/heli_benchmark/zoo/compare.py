@@ -1,0 +1,188 @@
+"""Compare imported flights with the truth of a case, without any code of the importer."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from heli_host.data.arrays import Floats
+
+from heli_benchmark.zoo.case import Samples, Truth
+from heli_benchmark.zoo.words import AXES, MOTORS
+
+_SEARCH_STEP_S: Final = 0.04
+_COMPARED_ROWS: Final = 1500
+"""Rows of a flight at which voltages are compared at many lags; more change no verdict."""
+_ANGLE_SCALE: Final = 0.02
+"""Largest error of an angle's scale. Units that are confused differ by 10 % and more."""
+_VOLTAGE_SCALE: Final = 0.03
+_UNKNOWN_SUPPLY_SCALE: Final = 0.08
+"""Largest error of a voltage's scale if the file does not show the supply."""
+_ZERO_RAD: Final = np.radians(1.5)
+"""Largest error of a zero that the file shows. The rest on the table and level differ by some 25 deg."""
+_ANGLE_RMS: Final = 0.03
+"""Largest rms error of an angle, as a share of its standard deviation."""
+_PEAK_RAD: Final = np.radians(3.0)
+"""Largest error of one row of an angle, in addition to what the clock permits. Damaged cells give more."""
+_VOLTAGE_RMS: Final = 0.35
+"""Largest rms error of a voltage, as a share of its standard deviation. Controllers switch voltages from row
+to row, so that a row's error of time counts much; a wrong column has 1 and more."""
+_MAX_LOST_S: Final = 0.6
+"""Time of a flight that an import may lack at its ends [s]."""
+
+
+@dataclass(frozen=True)
+class ImportedFlight:
+    """A flight as the importer has written it."""
+
+    t_s: Floats
+    columns: Mapping[str, Floats]  # Angles [rad] and voltages [V], by axis and motor
+
+
+def mistakes(flights: Sequence[ImportedFlight], truth: Truth) -> list[str]:
+    """Name all differences between imported flights and the truth; empty if the import is right.
+
+    The beginning of a flight's clock is free. Each flight is placed where its motion is that of the truth.
+    """
+    differences: list[str] = []
+    spans: list[tuple[float, float]] = []
+    for flight in flights:
+        span, flight_mistakes = _flight_mistakes(flight, truth)
+        spans.append(span)
+        differences += flight_mistakes
+    covered_s = _union_s(spans)
+    true_s = truth.samples["pitch"].t_s
+    available_s = float(true_s[-1] - true_s[0]) - truth.lost_s
+    if covered_s < available_s - max(_MAX_LOST_S, 0.02 * available_s):
+        differences.append(f"rows: {available_s - covered_s:.1f} of {available_s:.1f} s are not imported")
+    return list(dict.fromkeys(differences))
+
+
+def row_difference(flights: Sequence[ImportedFlight], truth: Truth) -> int:
+    """Imported rows minus the intact rows of the file."""
+    return sum(flight.t_s.size for flight in flights) - truth.row_count
+
+
+def _union_s(spans: Sequence[tuple[float, float]]) -> float:
+    total, end = 0.0, -np.inf
+    for start, stop in sorted(spans):
+        total += max(0.0, stop - max(start, end))
+        end = max(end, stop)
+    return float(total)
+
+
+def _flight_mistakes(flight: ImportedFlight, truth: Truth) -> tuple[tuple[float, float], list[str]]:
+    """Return the part of the true flight that an imported flight covers, and its mistakes."""
+    shift_s = _shift(flight, truth)
+    at_s = flight.t_s + shift_s
+    span = (float(at_s[0]), float(at_s[-1]))
+    differences = []
+    duration_s, true_s = float(np.ptp(flight.t_s)), truth.samples["pitch"].t_s
+    if duration_s > 1.02 * float(np.ptp(true_s)) + _MAX_LOST_S:
+        differences.append(f"clock: {duration_s:.1f} s instead of {float(np.ptp(true_s)):.1f} s")
+    rows = np.unique(np.linspace(0, at_s.size - 1, min(at_s.size, _COMPARED_ROWS)).round().astype(int))
+    is_within = (at_s >= true_s[0]) & (at_s <= true_s[-1])
+    rows = rows[is_within[rows]]
+    if rows.size < 10:
+        return span, [*differences, "clock: the flight is not the logged one"]
+    for axis in AXES:
+        differences += _angle_mistakes(
+            axis, at_s[is_within], flight.columns[axis][is_within], truth.samples[axis], truth
+        )
+    motors = _voltage_mistakes(flight, at_s, rows, truth)
+    if motors and not _voltage_mistakes(flight, at_s, rows, truth, exchanged=True):
+        motors = ["mirror: front and back are exchanged"]
+    return span, differences + motors
+
+
+def _angle_mistakes(axis: str, at_s: Floats, imported: Floats, samples: Samples, truth: Truth) -> list[str]:
+    true = np.interp(at_s, samples.t_s, samples.values)
+    deviation = true - true.mean()
+    scale = float(deviation @ (imported - imported.mean()) / max(float(deviation @ deviation), 1e-12))
+    differences = []
+    if scale < 0.0:
+        differences.append(f"{axis}: opposite sign")
+    size = abs(scale)
+    error = imported - imported.mean() - (np.sign(scale) or 1.0) * deviation
+    rate = float(np.sqrt(np.mean(np.gradient(samples.values, samples.t_s) ** 2)))
+    peak_rate = float(np.quantile(np.abs(np.gradient(samples.values, samples.t_s)), 0.999))
+    step = truth.value_step[axis]
+    tolerance = max(_ANGLE_RMS * float(true.std()), 2.0 * step, rate * truth.time_tolerance_s)
+    if abs(size - 1.0) > _ANGLE_SCALE + 2.0 * tolerance / max(float(np.ptp(true)), 1e-9):
+        differences.append(f"{axis}: scale {size:.3g}")
+    elif float(error.std()) > tolerance:
+        differences.append(f"{axis}: values differ by {np.degrees(error.std()):.2f} deg rms")
+    elif float(np.abs(error).max()) > _PEAK_RAD + 2.0 * step + 4.0 * peak_rate * truth.time_tolerance_s:
+        differences.append(f"{axis}: a row differs by {np.degrees(np.abs(error).max()):.1f} deg")
+    zero = float(np.median(imported - (np.sign(scale) or 1.0) * true))
+    if axis != "travel" and not differences and abs(zero) > _ZERO_RAD:
+        differences.append(f"{axis}: zero differs by {np.degrees(zero):.1f} deg")
+    return differences
+
+
+def _voltage_mistakes(
+    flight: ImportedFlight, at_s: Floats, rows: Floats, truth: Truth, *, exchanged: bool = False
+) -> list[str]:
+    """Compare voltages: scale, values, and their time relative to the angles."""
+    differences = []
+    for motor, other in itertools.permutations(MOTORS):
+        samples = truth.samples[other if exchanged else motor]
+        imported = flight.columns[motor][rows]
+        lags_s = np.arange(-0.3, 0.3001, 0.01)
+        # The value that the logger had last, at each lag of the imported voltage.
+        errors = []
+        for lag_s in lags_s:
+            true = _last_value(samples, at_s[rows] - lag_s)
+            errors.append(float(np.mean((imported - true) ** 2)))
+        lag_s = float(lags_s[int(np.argmin(errors))])
+        if errors[30] < 1.15 * min(errors):
+            lag_s = 0.0
+        true = _last_value(samples, at_s[rows] - lag_s)
+        spread = max(float(np.std(true)), 1e-9)
+        scale = float(true @ imported / max(float(true @ true), 1e-12))
+        # Rows that switch from row to row pull the scale towards 0.
+        mean_scale = float(imported.mean() / true.mean()) if abs(true.mean()) > 0.3 * spread else scale
+        limit = _UNKNOWN_SUPPLY_SCALE if "supply" in truth.unknown else _VOLTAGE_SCALE
+        step = truth.value_step[motor]
+        time_step_s = float(np.median(np.diff(samples.t_s)))
+        if abs(mean_scale - 1.0) > limit + 2.0 * step / max(abs(float(true.mean())), spread):
+            differences.append(f"{motor}: scale {mean_scale:.3g}")
+        elif float(np.std(imported - mean_scale * true)) > _VOLTAGE_RMS * spread + 2.0 * step:
+            differences.append(f"{motor}: values differ by {float(np.std(imported - true)):.2f} V rms")
+        elif abs(lag_s) > max(0.015, 1.6 * time_step_s, 1.5 * truth.time_tolerance_s):
+            differences.append(f"{motor}: late by {lag_s:.2f} s")
+    return differences
+
+
+def _last_value(samples: Samples, at_s: Floats) -> Floats:
+    last = np.clip(np.searchsorted(samples.t_s, at_s + 1e-6, side="right") - 1, 0, None)
+    return np.asarray(samples.values[last])
+
+
+def _shift(flight: ImportedFlight, truth: Truth) -> float:
+    """Find the time of the truth minus that of an imported flight, by the motion of all angles."""
+    true_s = truth.samples["pitch"].t_s
+    rows = np.unique(np.linspace(0, flight.t_s.size - 1, min(flight.t_s.size, 500)).round().astype(int))
+    first_s, last_s = true_s[0] - flight.t_s[0] - 1.0, true_s[-1] - flight.t_s[-1] + 1.0
+    if last_s < first_s:
+        first_s, last_s = last_s, first_s
+    coarse = np.arange(first_s, last_s + _SEARCH_STEP_S, _SEARCH_STEP_S)
+    best = _best_shift(flight, truth, rows, coarse)
+    return _best_shift(flight, truth, rows, best + np.arange(-0.05, 0.0501, 0.002))
+
+
+def _best_shift(flight: ImportedFlight, truth: Truth, rows: Floats, shifts_s: Floats) -> float:
+    scores = np.zeros(shifts_s.size)
+    for axis in AXES:
+        samples = truth.samples[axis]
+        imported = flight.columns[axis][rows]
+        # Slow parts carry no information about the time.
+        imported = np.diff(imported)
+        for index, shift_s in enumerate(shifts_s):
+            true = np.diff(np.interp(flight.t_s[rows] + shift_s, samples.t_s, samples.values))
+            size = float(np.linalg.norm(true) * np.linalg.norm(imported))
+            scores[index] += abs(float(true @ imported)) / size if size > 0.0 else 0.0
+    return float(shifts_s[int(np.argmax(scores))])

@@ -1,0 +1,685 @@
+"""Draw a case: the logger, the table that it records of a flight, and the truth."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from heli_host.data.arrays import Floats
+from heli_host.data.flight import Flight
+from heli_sim.rig import Rig, load_rig
+
+from heli_benchmark.zoo.case import Case, LoggedColumn, Recording, Samples, Truth
+from heli_benchmark.zoo.flights import FlightRecipe
+from heli_benchmark.zoo.words import AXES, MOTORS, SUMS, UNIT_WORDS, VOCABULARIES, with_unit
+
+_ROLES: Final = (*AXES, *MOTORS)
+_RATES_Hz: Final = (20.0, 25.0, 33.333333, 50.0, 60.0, 100.0, 125.0, 200.0, 250.0, 500.0, 1000.0)
+_MAX_ROWS: Final = 12_000
+_TEXT_KINDS: Final = ("csv", "txt")
+_CONTAINERS: Final = {
+    "csv": 0.46,
+    "txt": 0.1,
+    "mat": 0.12,
+    "xlsx": 0.07,
+    "parquet": 0.09,
+    "mcap": 0.08,
+    "ros2": 0.08,
+}
+_NUMERIC_CLOCKS: Final = {
+    "s": 0.24,
+    "ms": 0.16,
+    "us": 0.1,
+    "ns": 0.02,
+    "min": 0.01,
+    "epoch s": 0.08,
+    "epoch ms": 0.04,
+    "five digits": 0.05,
+    "tenths": 0.05,
+    "whole seconds": 0.05,
+    "overflow 16 ms": 0.04,
+    "overflow 32 us": 0.04,
+    "restart": 0.04,
+    "rows": 0.04,
+    "none": 0.04,
+}
+_TEXT_CLOCKS: Final = {
+    "iso date": 0.3,
+    "clock": 0.25,
+    "local date": 0.15,
+    "prefix": 0.1,
+    "thousands": 0.1,
+    "german date": 0.1,
+}
+_ROW_FAULTS: Final = (
+    "truncated lines",
+    "merged lines",
+    "garbage",
+    "repeated header",
+    "error cells",
+    "duplicated rows",
+    "swapped rows",
+    "lost rows",
+    "long gap",
+    "stalled values",
+    "reversed",
+)
+_DROPPED: Final = (
+    r"damag|merged|incomplete|unreadable|broken"
+    r"|(row|line|cell)s?\b[^.;\n]*\b(dropped|skipped|left out|ignored|omitted|not numbers)"
+    r"|\b(dropped|skipped|left out|ignored|omitted)\b[^.;\n]*\b(row|line|cell)"
+)
+_REPORTS: Final = {
+    "truncated lines": _DROPPED,
+    "merged lines": _DROPPED,
+    "garbage": _DROPPED,
+    "repeated header": rf"header|{_DROPPED}",
+    "error cells": rf"{_DROPPED}|empty|missing",
+    "duplicated rows": r"duplicat|repeat|twice|same time",
+    "swapped rows": r"out of order|sorted|order of",
+    "reversed": r"out of order|sorted|order of|reversed|backwards|newest",
+    "lost rows": r"fill|missing|\bgap|lost",
+    "long gap": r"\bgap|divid|pause|interrupt|missing",
+    "stalled values": r"still|frozen|stuck|stall|not change|same values",
+    "overflow": r"overflow|wrapped|starts again",
+    "restart": r"restart|starts? (again|anew|over)|begins? (again|anew)|falls|set back|jumps back",
+    "coarse": r"coarse|resol|repeat|whole|rounded|digits|evenly|even times|same time",
+    "two rates": r"blank|empty|held|hold|slower|two rates|last value|fill",
+}
+"""Pattern of the words with which an import must report each repair. They are wide: any word will do."""
+
+
+class _Random:
+    """Draws of one case, by names."""
+
+    def __init__(self, seed: int, number: int) -> None:
+        self.rng = np.random.default_rng([seed, number])
+
+    def chance(self, share: float) -> bool:
+        return bool(self.rng.random() < share)
+
+    def choice(self, items: Sequence[str]) -> str:
+        return items[int(self.rng.integers(len(items)))]
+
+    def weighted(self, weights: Mapping[str, float]) -> str:
+        shares = np.array(list(weights.values()))
+        return list(weights)[int(self.rng.choice(len(shares), p=shares / shares.sum()))]
+
+    def between(self, low: float, high: float) -> float:
+        return float(self.rng.uniform(low, high))
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """What the logger has sampled, in rad and V, before units and names."""
+
+    true_s: Floats  # (n,): True times of the rows
+    angles_rad: Mapping[str, Floats]
+    volts_V: Mapping[str, Floats]
+
+
+def draw_case(seed: int, number: int, recipes: Sequence[FlightRecipe], flights: Sequence[Flight]) -> Case:
+    """Draw the case of a seed and a number; it records one of the `flights`, which `recipes` describe."""
+    random = _Random(seed, number)
+    index = int(random.rng.integers(len(flights)))
+    recipe, flight = recipes[index], flights[index]
+    return _Drawing(random, recipe, flight, load_rig(recipe.rig_name)).case(seed, number)
+
+
+class _Drawing:
+    """The draws of one case, one after the other."""
+
+    def __init__(self, random: _Random, recipe: FlightRecipe, flight: Flight, rig: Rig) -> None:
+        self.random, self.recipe, self.flight, self.rig = random, recipe, flight, rig
+        self.traits: list[str] = []
+        self.reports: dict[str, str] = {}
+        self.unknown: list[str] = []
+        self.value_step: dict[str, float] = {}
+        self.columns: list[LoggedColumn] = []
+        self.column_by_role: dict[str, str] = {}
+        self.lost_s = 0.0
+        self.time_tolerance_s = 0.0
+
+    def case(self, seed: int, number: int) -> Case:
+        random = self.random
+        container = random.weighted(_CONTAINERS)
+        style = self._style(container)
+        words = VOCABULARIES[style]
+        self.unit_style = random.choice(("none", "none", "brackets", "parentheses", "tail", "row", "slash"))
+        if style == "none" or container in ("mcap", "ros2"):
+            self.unit_style = "none"
+        if self.unit_style == "row" and container not in (*_TEXT_KINDS, "xlsx"):
+            self.unit_style = "brackets"
+        self.words, self.style = words, style
+        clock_kind = self._clock_kind(container)
+        faults = self._row_faults(container, clock_kind)
+        measured = self._sampled(clock_kind, container, faults)
+        refusal = self._refusal(container)
+        truth_samples = {
+            **{axis: Samples(measured.true_s, measured.angles_rad[axis]) for axis in AXES},
+            **{motor: Samples(measured.true_s, measured.volts_V[motor]) for motor in MOTORS},
+        }
+        self._angle_columns(measured, refusal)
+        voltage_roles = self._voltage_columns(measured, refusal)
+        self._extra_columns(measured, refusal, voltage_roles)
+        if "stalled values" in faults:
+            self._stall(measured)
+        blank_rows = self._two_rates(container, measured, refusal, truth_samples)
+        order = random.rng.permutation(len(self.columns))
+        columns = tuple(self.columns[i] for i in order)
+        recording, rate_Hz = self._clocked(clock_kind, container, measured, columns)
+        known = self._known_columns(columns, refusal)
+        for fault in faults:
+            self.reports[fault] = _REPORTS[fault]
+        if blank_rows:
+            self.reports["two rates"] = _REPORTS["two rates"]
+        refused = {"voltages": r"volt|motor", "two angles": r"travel|pitch|elevation|two angles|angle"}
+        reason = refused.get(refusal, "")
+        if clock_kind == "none" and not rate_Hz:
+            reason = r"time|rate|clock"
+        truth = Truth(
+            truth_samples,
+            measured.true_s.size,
+            self.time_tolerance_s,
+            self.value_step,
+            self.lost_s,
+            reason,
+            self.reports,
+            tuple(self.unknown),
+        )
+        self.traits += [container, f"clock {clock_kind}", f"names {style}/{self.unit_style}", *faults]
+        gives_rig = random.chance(0.7)
+        self.traits.append(f"rig {self.recipe.rig_name}{'' if gives_rig else ' (not given)'}")
+        dialect = random.choice((",.", ",.", ";,", ";.", "\t.", "\t,", " .", "|."))
+        if clock_kind in ("clock", "local date", "iso date", "german date") and dialect == " .":
+            dialect = ",."
+        if clock_kind == "thousands" and dialect.startswith(","):
+            dialect = ";."
+        return Case(
+            seed,
+            number,
+            tuple(self.traits),
+            container,
+            recording,
+            truth,
+            self.recipe.rig_name,
+            gives_rig,
+            rate_Hz,
+            known,
+            tuple(fault for fault in faults if fault in _ROW_FAULTS[:7] or fault == "reversed"),
+            dialect,
+        )
+
+    def _style(self, container: str) -> str:
+        styles = [style for style in VOCABULARIES if style != "none"]
+        # Tables without names are texts and matrices; messages and columns of Parquet have names.
+        if container in (*_TEXT_KINDS, "mat") and self.random.chance(0.12):
+            return "none"
+        return self.random.choice(styles)
+
+    def _clock_kind(self, container: str) -> str:
+        if container in ("mcap", "ros2"):
+            return self.random.choice(("stamps", "stamps", "recorder", "two clocks"))
+        if container in _TEXT_KINDS and self.random.chance(0.22):
+            return self.random.weighted(_TEXT_CLOCKS)
+        kind = self.random.weighted(_NUMERIC_CLOCKS)
+        if container in ("xlsx", "parquet") and self.random.chance(0.25):
+            return "datetime"
+        return kind
+
+    def _row_faults(self, container: str, clock_kind: str) -> list[str]:
+        if self.random.chance(0.55):
+            return []
+        damages = ("truncated lines", "merged lines", "garbage", "repeated header", "error cells")
+        possible = [
+            fault
+            for fault in _ROW_FAULTS
+            if (container in _TEXT_KINDS or fault not in damages)
+            and (container not in ("mcap", "ros2") or fault in ("lost rows", "long gap"))
+        ]
+        if clock_kind in ("none", "rows"):
+            possible = [
+                fault
+                for fault in possible
+                if fault in damages and fault not in ("truncated lines", "garbage")
+            ]
+            possible = ["stalled values"]
+        fine_clocks = ("s", "ms", "us", "ns", "epoch s", "epoch ms", "iso date", "clock", "datetime", "min")
+        if clock_kind not in fine_clocks:
+            possible = [f for f in possible if f not in ("reversed", "swapped rows", "lost rows", "long gap")]
+        if self.style == "none":
+            possible = [fault for fault in possible if fault != "repeated header"]
+        count = 1 + self.random.chance(0.3) + self.random.chance(0.1)
+        chosen: list[str] = []
+        for _ in range(min(count, len(possible))):
+            fault = self.random.choice([item for item in possible if item not in chosen])
+            chosen.append(fault)
+        if "reversed" in chosen:
+            chosen = [fault for fault in chosen if fault != "swapped rows"]
+        return chosen
+
+    def _refusal(self, container: str) -> str:
+        if self.random.chance(0.1):
+            kind = self.random.choice(("voltages", "voltages", "two angles"))
+            self.traits.append("no voltages" if kind == "voltages" else "two angles only")
+            return kind
+        return ""
+
+    def _sampled(self, clock_kind: str, container: str, faults: Sequence[str]) -> _Measured:
+        """Sample the flight at the times of the rows."""
+        random, flight = self.random, self.flight
+        rates_Hz = [rate for rate in _RATES_Hz if container != "xlsx" or rate <= 100.0]
+        if container in ("mcap", "ros2"):
+            rates_Hz = [rate for rate in rates_Hz if rate <= 250.0]
+        if clock_kind in ("tenths", "whole seconds"):
+            rates_Hz = [rate for rate in rates_Hz if rate >= 25.0]
+        if clock_kind in ("ms", "overflow 16 ms", "epoch ms", "clock", "prefix"):
+            rates_Hz = [rate for rate in rates_Hz if rate <= 500.0]
+        rate_Hz = rates_Hz[int(random.rng.integers(len(rates_Hz)))]
+        step_s = 1.0 / rate_Hz
+        end_s = float(flight.t_s[-1])
+        start_s = float(flight.t_s[0])
+        if random.chance(0.3):
+            start_s += random.between(2.0, 9.0)
+            self.traits.append("begins in flight")
+        duration_s = min(end_s - start_s, random.between(26.0, 45.0), _MAX_ROWS * step_s)
+        count = int(duration_s / step_s)
+        true_s = start_s + step_s * np.arange(count, dtype=np.float64)
+        jitter = random.choice(("even", "even", "even", "jitter", "jitter", "lost time"))
+        if clock_kind in ("rows", "none", "tenths", "whole seconds", "five digits"):
+            jitter = "even"
+        if jitter == "jitter":
+            true_s = true_s + step_s * random.between(0.02, 0.25) * random.rng.uniform(-1.0, 1.0, count)
+        elif jitter == "lost time":
+            # A loop that is late now and then, and does not catch up.
+            late_s = step_s * random.rng.exponential(0.3, count) * (random.rng.random(count) < 0.03)
+            true_s = true_s + np.cumsum(late_s)
+        if jitter != "even":
+            self.traits.append(jitter)
+        true_s = true_s[true_s < end_s]
+        keep = np.ones(true_s.size, bool)
+        if "lost rows" in faults:
+            for _ in range(max(3, round(0.004 * true_s.size))):
+                first = int(random.rng.integers(10, true_s.size - 10))
+                keep[first : first + int(random.rng.integers(1, 4))] = False
+        if "long gap" in faults:
+            first = int(true_s.size * random.between(0.3, 0.7))
+            gap_s = random.between(0.8, 2.5)
+            keep &= ~((true_s > true_s[first]) & (true_s < true_s[first] + gap_s))
+            self.lost_s += gap_s
+        true_s = true_s[keep]
+        self.rate_Hz = rate_Hz
+        self.traits.append(f"{rate_Hz:g} Hz")
+        self.time_tolerance_s = 0.004 + 0.6 * step_s
+        rows = np.clip(np.searchsorted(flight.t_s, true_s + 1e-9, side="right") - 1, 0, None)
+        return _Measured(
+            true_s,
+            {axis: getattr(flight, f"{axis}_rad")[rows] for axis in AXES},
+            {motor: getattr(flight, f"{motor}_V")[rows] for motor in MOTORS},
+        )
+
+    def _header(self, name: str, unit: str) -> tuple[str, str]:
+        """Return the name with its unit, and the unit of the unit row."""
+        word = self.random.choice(UNIT_WORDS[unit]) if unit in UNIT_WORDS else ""
+        if self.unit_style == "tail":
+            word = {"°": "deg", "%": "percent", "1": "duty", "-": "duty", "µs": "us", "s": "s"}.get(
+                word, word
+            )
+        if self.unit_style == "tail" and unit in ("s", "V", "A", "C"):
+            return name, ""
+        return with_unit(name, word, self.unit_style), word if self.unit_style == "row" else ""
+
+    def _add(self, role: str, name: str, unit: str, values: Floats, decimals: int) -> str:
+        full_name, unit_cell = self._header(name, unit)
+        self.columns.append(LoggedColumn(full_name, unit_cell, values, decimals, role))
+        return full_name
+
+    def _angle_columns(self, measured: _Measured, refusal: str) -> None:
+        random = self.random
+        unit = random.choice(("rad", "deg", "deg", "deg", "count", "rad"))
+        self.angle_unit = unit
+        states_unit = self.unit_style != "none"
+        at_rest = self.recipe.starts_on_table and random.chance(0.3)
+        left_out = random.choice(AXES[1:]) if refusal == "two angles" else ""
+        signs = []
+        for axis, word in zip(AXES, self.words.angles, strict=True):
+            values = measured.angles_rad[axis]
+            if axis == "elevation" and at_rest:
+                values = values - self.flight.elevation_rad[0]
+            sign = -1.0 if random.chance(0.15) else 1.0
+            signs.append(sign)
+            if axis == "travel" and random.chance(0.4):
+                values = values + random.between(-3.0, 3.0)
+            counts = self.rig[f"encoder_counts_{axis}"].value
+            per_rad = {"rad": 1.0, "deg": 180.0 / math.pi, "count": counts / (2.0 * math.pi)}[unit]
+            logged = sign * values * per_rad
+            decimals = {"rad": 4 + int(random.rng.integers(3)), "deg": 2 + int(random.rng.integers(3))}.get(
+                unit, 0
+            )
+            if unit == "count":
+                logged = np.round(logged)
+                if axis == "travel" and random.chance(0.3):
+                    logged = np.mod(logged + 500.0, 65536.0)
+            elif axis == "travel" and random.chance(0.25):
+                turn = 2.0 * math.pi * per_rad
+                low = random.choice(("0", "-"))
+                shift = 0.0 if low == "0" else 0.5 * turn
+                logged = np.mod(logged + shift, turn) - shift
+            self.value_step[axis] = 10.0 ** (-decimals) / per_rad if decimals else 1.0 / per_rad
+            if axis != left_out:
+                self.column_by_role[axis] = self._add(axis, word, unit, logged, decimals)
+        turned = [axis for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
+        self.turned = turned
+        if turned:
+            self.traits.append(f"inverted {'+'.join(turned)}")
+        if "pitch" in turned or "travel" in turned:
+            self.unknown.append("mirror")
+        if at_rest:
+            self.traits.append("elevation 0 on the table")
+        if not self.recipe.starts_on_table or "begins in flight" in self.traits:
+            self.unknown.append("zero")
+        self.traits.append(f"angles in {unit}{'' if states_unit else ' unstated'}")
+        if not states_unit:
+            self.unknown.append("scale")
+
+    def _voltage_columns(self, measured: _Measured, refusal: str) -> tuple[str, str]:
+        random, words = self.random, self.words
+        front, back = measured.volts_V["front"], measured.volts_V["back"]
+        supply_V = self.rig["supply"].value
+        self.supply: Floats | None = None
+        weights = {"V": 0.58, "mV": 0.04, "percent": 0.14, "duty": 0.1, "pwm": 0.12, "pwm 1023": 0.02}
+        unit = random.weighted(weights)
+        roles = MOTORS
+        values = (front, back)
+        if random.chance(0.16):
+            roles, values = SUMS, (front + back, front - back)
+            if random.chance(0.25):
+                values = (0.5 * values[0], 0.5 * values[1])
+                self.traits.append("half sums")
+        full_scale = {"V": 1.0, "mV": 1e-3, "percent": supply_V / 100.0, "duty": supply_V}.get(unit)
+        full_scale = full_scale if full_scale is not None else supply_V / (255.0 if unit == "pwm" else 1023.0)
+        scale = np.full(front.size, full_scale)
+        if unit not in ("V", "mV") and random.chance(0.35):
+            # A battery that sags; the amplifier gives a share of it.
+            true_supply = supply_V * (
+                random.between(0.93, 1.04) - 0.03 * np.linspace(0.0, 1.0, front.size) ** 2
+            )
+            scale = scale * true_supply / supply_V
+            self.supply = true_supply
+            self.traits.append("supply column")
+        decimals = {"V": 3, "mV": 0, "percent": 1, "duty": 4}.get(unit, 0)
+        self.voltage_unit = unit
+        self.volts_per_unit = scale
+        self.traits.append(f"{'+'.join(roles)} in {unit}")
+        if unit not in ("V", "mV"):
+            self.unknown.append("supply")
+        for motor in MOTORS:
+            self.value_step[motor] = (
+                10.0**-decimals * full_scale * (2.0 if "half sums" in self.traits else 1.0)
+            )
+        if refusal == "voltages":
+            return roles
+        names = words.sums if roles == SUMS else tuple(words.voltage.format(motor) for motor in words.motors)
+        if self.style == "numbered" and roles == MOTORS:
+            self.unknown.append("columns")
+        stated = unit.split()[0]
+        for role, voltage_name, volts in zip(roles, names, values, strict=True):
+            name = voltage_name
+            if stated in ("percent", "duty", "pwm") and roles == MOTORS and self.style != "none":
+                motor = words.motors[MOTORS.index(role)]
+                name = words.duty.format(motor)
+            self.column_by_role[role] = self._add(role, name, stated, volts / scale, decimals)
+        return roles
+
+    def _extra_columns(self, measured: _Measured, refusal: str, roles: tuple[str, str]) -> None:
+        random, words = self.random, self.words
+        share = 0.08 if self.style == "none" else 0.3
+        extras: list[str] = []
+        per_rad = {"rad": 1.0, "deg": 180.0 / math.pi, "count": 180.0 / math.pi}[self.angle_unit]
+        unit = "deg" if self.angle_unit == "count" else self.angle_unit
+        step_s = 1.0 / self.rate_Hz
+        without_voltages = refusal == "voltages"
+        setpoint_kind = random.choice(("steps", "smooth"))
+        wants_setpoints = random.chance(0.9 if without_voltages else share)
+        wants_currents = random.chance(0.6 if without_voltages else share)
+        if without_voltages and not wants_setpoints:
+            wants_currents = True
+        logged = {column.group: column for column in self.columns}
+        for axis, word in zip(AXES, words.angles, strict=True):
+            if axis not in logged:
+                continue
+            if wants_setpoints:
+                extras.append("setpoints")
+                setpoint = _setpoint(np.unwrap(measured.angles_rad[axis]), step_s, setpoint_kind)
+                sign = -1.0 if axis in self.turned else 1.0
+                self._add("extra", words.setpoint.format(word), unit, sign * setpoint * per_rad, 3)
+            if random.chance(share):
+                extras.append("filtered copies")
+                sign = -1.0 if axis in self.turned else 1.0
+                low_passed = _low_passed(measured.angles_rad[axis], step_s, random.between(0.02, 0.15))
+                self._add("extra", words.filtered.format(word), unit, sign * low_passed * per_rad, 4)
+            if random.chance(share):
+                extras.append("rates")
+                rate = np.gradient(_low_passed(measured.angles_rad[axis], step_s, 0.03), step_s)
+                self._add("extra", words.rate.format(word), "", rate * per_rad, 3)
+            if self.style not in ("none", "greek") and random.chance(0.5 * share):
+                extras.append("raw counts")
+                counts = self.rig[f"encoder_counts_{axis}"].value / (2.0 * math.pi)
+                self._add("extra", f"{word}_raw", "", np.round(measured.angles_rad[axis] * counts), 0)
+        for motor, word in zip(MOTORS, words.motors, strict=True):
+            volts = measured.volts_V[motor]
+            if wants_currents:
+                extras.append("currents")
+                current = 0.35 * _low_passed(volts, step_s, 0.05) + 0.02 * random.rng.standard_normal(
+                    volts.size
+                )
+                self._add("extra", words.current.format(word), "A", current, 3)
+            if (
+                roles == MOTORS
+                and not without_voltages
+                and self.voltage_unit == "V"
+                and random.chance(0.5 * share)
+            ):
+                extras.append("duties next to voltages")
+                duty = volts / self.rig["supply"].value * 100.0
+                self._add("extra", words.duty.format(word), "percent", np.round(duty), 0)
+        if self.supply is not None:
+            noise = 0.01 * random.rng.standard_normal(self.supply.size)
+            self._add("extra", words.supply, "V", self.supply + noise, 2)
+        elif random.chance(0.5 * share):
+            extras.append("constant supply")
+            supply = self.rig["supply"].value * np.ones(measured.true_s.size)
+            self._add("extra", words.supply, "V", supply, 1)
+        if random.chance(share):
+            extras.append("temperature")
+            walk = 24.0 + 0.004 * np.cumsum(random.rng.standard_normal(measured.true_s.size))
+            self._add("extra", words.temperature, "C", walk, 1)
+        if random.chance(share):
+            extras.append("counter")
+            self._add("extra", words.counter, "", np.arange(float(measured.true_s.size)), 0)
+        self.traits += dict.fromkeys(extras)
+
+    def _stall(self, measured: _Measured) -> None:
+        """Let all angles keep their values for some time, as a logger does that misses its sensor."""
+        random = self.random
+        count = measured.true_s.size
+        first = int(count * random.between(0.35, 0.75))
+        stall_s = random.between(1.0, 4.0)
+        stop = min(count - 2, first + round(stall_s * self.rate_Hz))
+        for index, column in enumerate(self.columns):
+            if column.group in AXES:
+                values = column.values.copy()
+                values[first:stop] = values[first]
+                self.columns[index] = replace(column, values=values)
+        self.stalled_s = (float(measured.true_s[first]), float(measured.true_s[stop]))
+        self.lost_s += self.stalled_s[1] - self.stalled_s[0]
+
+    def _two_rates(
+        self, container: str, measured: _Measured, refusal: str, samples: dict[str, Samples]
+    ) -> bool:
+        """Let the voltages be logged in every k-th row only, with empty cells or held values between."""
+        if container not in (*_TEXT_KINDS, "parquet", "xlsx") or refusal or not self.random.chance(0.07):
+            return False
+        if self.rate_Hz < 100.0:
+            return False
+        every = int(self.random.rng.integers(2, 6))
+        while self.rate_Hz / every < 25.0:
+            every -= 1
+        if every < 2:
+            return False
+        rows = np.arange(measured.true_s.size)
+        is_sample = rows % every == int(self.random.rng.integers(every))
+        is_held = self.random.chance(0.3)
+        for index, column in enumerate(self.columns):
+            if column.group in (*MOTORS, *SUMS):
+                values = np.where(is_sample, column.values, np.nan)
+                if is_held:
+                    values = _held(values)
+                self.columns[index] = replace(column, values=values)
+        for motor in MOTORS:
+            samples[motor] = Samples(measured.true_s[is_sample], measured.volts_V[motor][is_sample])
+        self.traits.append(f"voltages every {every} rows{' held' if is_held else ''}")
+        return not is_held
+
+    def _known_columns(self, columns: Sequence[LoggedColumn], refusal: str) -> dict[str, str]:
+        """Columns that a user has to state because the file has no names: by their numbers."""
+        if self.style != "none" or refusal:
+            return {}
+        self.unknown.append("columns")
+        return {column.group: str(index) for index, column in enumerate(columns) if column.group != "extra"}
+
+    def _clocked(
+        self, kind: str, container: str, measured: _Measured, columns: tuple[LoggedColumn, ...]
+    ) -> tuple[Recording, float]:
+        """Write the clock of each row as the logger does."""
+        random = self.random
+        true_s = measured.true_s
+        start_s = random.choice(("0", "0", "boot", "late"))
+        offset_s = {"0": 0.0, "boot": random.between(1.0, 90.0), "late": random.between(200.0, 4000.0)}[
+            start_s
+        ]
+        t_s = true_s - true_s[0] + offset_s
+        epoch_s = 1.70e9 + random.between(0.0, 6e7)
+        day_s = random.between(0.0, 80_000.0)
+        name, rate_Hz = self.words.time, 0.0
+        texts: tuple[str, ...] = ()
+        unit, decimals, clock = "s", 6, t_s
+        if kind in ("s", "stamps", "recorder", "two clocks"):
+            decimals = 3 + int(random.rng.integers(4))
+        elif kind in ("ms", "us", "ns"):
+            unit, decimals = kind, 0
+            clock = np.floor(t_s * {"ms": 1e3, "us": 1e6, "ns": 1e9}[kind])
+        elif kind == "min":
+            unit, decimals, clock = "min", 7, t_s / 60.0
+        elif kind == "epoch s":
+            clock = epoch_s + t_s
+        elif kind == "epoch ms":
+            unit, decimals, clock = "ms", 0, np.floor((epoch_s + t_s) * 1e3)
+        elif kind == "five digits":
+            offset_s = float(random.choice(("100", "1000"))) * random.between(1.0, 2.0)
+            decimals, clock = -5, t_s - t_s[0] + offset_s
+            self._note_repeats(np.array([float(f"{value:.5g}") for value in clock]))
+        elif kind in ("tenths", "whole seconds"):
+            decimals = 1 if kind == "tenths" else 0
+            self._note_repeats(np.round(clock, decimals))
+        elif kind == "overflow 16 ms":
+            unit, decimals = "ms", 0
+            clock = np.mod(np.floor((t_s - t_s[0]) * 1e3) + 65536.0 - random.between(3e3, 2e4), 65536.0)
+            clock = np.floor(clock)
+            self.reports["overflow"] = _REPORTS["overflow"]
+        elif kind == "overflow 32 us":
+            unit, decimals = "us", 0
+            clock = np.mod(np.floor((t_s - t_s[0]) * 1e6) + 2.0**32 - random.between(3e6, 2e7), 2.0**32)
+            clock = np.floor(clock)
+            self.reports["overflow"] = _REPORTS["overflow"]
+        elif kind == "restart":
+            first = int(true_s.size * random.between(0.35, 0.65))
+            clock = np.where(np.arange(true_s.size) < first, t_s - t_s[0], t_s - t_s[first])
+            decimals = 3
+            self.reports["restart"] = _REPORTS["restart"]
+        elif kind == "rows":
+            name, unit, decimals = self.words.counter, "", 0
+            clock = np.arange(float(true_s.size))
+            rate_Hz = self.rate_Hz
+        elif kind == "none":
+            name = ""
+            rate_Hz = self.rate_Hz if random.chance(0.7) else 0.0
+        elif kind == "datetime":
+            unit = "datetime"
+            clock = epoch_s + t_s
+        else:
+            texts = _clock_texts(kind, t_s, epoch_s, day_s)
+            unit = ""
+        columns = tuple(column for column in columns if kind != "rows" or column.name != name)
+        full_name, _ = self._header(name, unit) if name else ("", "")
+        if unit in ("ms", "us", "ns", "min") and self.unit_style in ("none", "row") and self.style != "none":
+            # A name without its unit leaves the unit to the steps, which only one unit fits.
+            full_name = f"{name}_{unit}" if random.chance(0.5) else name
+        recording = Recording(
+            f"log_{self.style.replace(' ', '_')}",
+            kind,
+            full_name,
+            unit,
+            clock,
+            texts,
+            decimals,
+            true_s,
+            columns,
+            self.style != "none",
+            self.unit_style == "row",
+        )
+        return recording, rate_Hz
+
+    def _note_repeats(self, clock: Floats) -> None:
+        """Note that times repeat, if the resolution of the clock is above the step of the rows."""
+        if np.mean(np.diff(clock) == 0.0) > 0.02:
+            self.reports["coarse"] = _REPORTS["coarse"]
+
+
+def _setpoint(angle_rad: Floats, step_s: float, kind: str) -> Floats:
+    """Make a setpoint that the angle follows with the lag of a closed loop."""
+    lead = max(1, round(0.45 / step_s))
+    smooth = _low_passed(_low_passed(angle_rad, step_s, 0.25)[::-1], step_s, 0.25)[::-1]
+    ahead = np.concatenate((smooth[lead:], np.full(lead, smooth[-1])))
+    if kind == "smooth":
+        return ahead
+    hold = max(1, round(2.5 / step_s))
+    return np.asarray(np.round(ahead[np.arange(ahead.size) // hold * hold], 2))
+
+
+def _low_passed(values: Floats, step_s: float, lag_s: float) -> Floats:
+    """First-order low-pass filter that is settled at the first value."""
+    from scipy.signal import lfilter
+
+    keep = math.exp(-step_s / lag_s)
+    filtered, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
+    return np.asarray(filtered)
+
+
+def _held(values: Floats) -> Floats:
+    """Repeat the last value in empty cells; cells before the first value stay empty."""
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(values.size), -1))
+    return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
+
+
+def _clock_texts(kind: str, t_s: Floats, epoch_s: float, day_s: float) -> tuple[str, ...]:
+    """Write times as texts."""
+    if kind == "clock":
+        of_day = [day_s + t for t in t_s - t_s[0]]
+        return tuple(f"{int(t) // 3600:02d}:{int(t) // 60 % 60:02d}:{t % 60:06.3f}" for t in of_day)
+    if kind == "prefix":
+        return tuple(f"t={t:.3f}" for t in t_s)
+    if kind == "thousands":
+        return tuple(f"{t * 1e3 + 5e3:,.0f}" for t in t_s)
+    start = datetime.datetime(2025, 3, 4, tzinfo=datetime.UTC) + datetime.timedelta(seconds=round(day_s, 3))
+    formats = {
+        "iso date": "%Y-%m-%dT%H:%M:%S.%f",
+        "local date": "%d/%m/%Y %H:%M:%S.%f",
+        "german date": "%d.%m.%Y %H:%M:%S,%f",
+    }
+    moments = [start + datetime.timedelta(seconds=float(t)) for t in t_s - t_s[0]]
+    return tuple(moment.strftime(formats[kind])[:-3] for moment in moments)
