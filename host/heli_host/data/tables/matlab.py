@@ -102,12 +102,18 @@ def _signals_in(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column
 
 
 def _signals_of_structure(name: str, fields: Mapping[str, Any], depth: int) -> Iterator[tuple[str, Column]]:
-    """Yield the signals of a structure with their names, and with times if the structure has them."""
+    """Yield the signals of a structure with their names, and with times if the structure has them.
+
+    Times that repeat or fall are a column like the others, because signals cannot be brought to them.
+    """
     t_s = _times_of(fields)
     if t_s is None:
         for key, field_value in fields.items():
             yield from _signals_in(f"{name}.{key}", field_value, depth + 1)
         return
+    signal_t_s = t_s if np.all(np.diff(t_s) > 0.0) else None
+    if signal_t_s is None:
+        yield f"{name}.time", Column(t_s)
     for key in _DATA:
         if key in fields:
             data = [
@@ -116,14 +122,14 @@ def _signals_of_structure(name: str, fields: Mapping[str, Any], depth: int) -> I
                 if signal.size == t_s.size
             ]
             for label, signal in data:
-                yield label, Column(signal, "", t_s)
+                yield label, Column(signal, "", signal_t_s)
             if data:
                 return
     for key, field_value in fields.items():
         if key not in _TIMES:
             for _, signal, _count in _columns_of_array(_unwrapped(field_value)):
                 if signal.size == t_s.size:
-                    yield f"{name}.{key}", Column(signal, "", t_s)
+                    yield f"{name}.{key}", Column(signal, "", signal_t_s)
 
 
 def _signals_with_times(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
@@ -189,7 +195,7 @@ def _times_of(fields: Mapping[str, Any]) -> Floats | None:
     for key in _TIMES:
         if key in fields:
             signals = _columns_of_array(_unwrapped(fields[key]))
-            if len(signals) == 1 and np.all(np.diff(signals[0][1]) > 0.0):
+            if len(signals) == 1:
                 return signals[0][1]
     time_info = _fields_of(_unwrapped(fields.get("TimeInfo", fields.get("TimeInfo_"))))
     if time_info is None:

@@ -179,6 +179,12 @@ _SPELLINGS: Final = {
     "deg/s": ("deg/s", "°/s", "dps", "degrees/s"),
     "rad/s": ("rad/s", "rad/sec", "radps"),
     "rad/s2": ("rad/s2", "rad/s^2"),
+    "A": ("a", "amp", "amps", "ampere"),
+    "mA": ("ma",),
+    "°C": ("°c", "degc", "celsius"),
+    "rpm": ("rpm", "1/min", "u/min"),
+    "N": ("n", "newton"),
+    "Nm": ("nm", "n m", "n*m"),
 }
 _UNIT_OF: Final = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 _BRACKETS: Final = re.compile(r"^(.*?)[\s_]*[\[(<{]\s*([^\])>}]*)\s*[\])>}]\s*$")

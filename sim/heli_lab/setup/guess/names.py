@@ -20,24 +20,25 @@ ROLES: Final = (*AXES, *VOLTAGE_ROLES)
 _WORDS: Final = {
     "elevation": (
         *("elevation", "elev", "theta", "epsilon", "eps", "el", "e"),
-        *("elevasjon", "hoyde", "hoydevinkel", "hohe", "hohenwinkel", "elevacion", "altura", "高度", "升降"),
+        *("elevasjon", "hoyde", "hoydevinkel", "elevacion", "altura", "高度", "升降"),
+        *("hohe", "hohen", "hohenwinkel", "hoehe", "hoehen", "hoehenwinkel"),
     ),
     "pitch": (
-        *("pitch", "phi", "rho", "p", "tilt"),
-        *("helling", "stigning", "nick", "nickwinkel", "neigung", "tangage", "cabeceo", "俯仰"),
+        *("pitch", "phi", "rho", "p", "tilt", "pit"),
+        *("helling", "stigning", "nick", "nicken", "nickwinkel", "neigung", "tangage", "cabeceo", "俯仰"),
     ),
     "travel": (
         *("travel", "trav", "psi", "lambda", "lam", "lamda", "yaw", "azimuth", "heading", "tr"),
-        *("vandring", "dreh", "drehwinkel", "gier", "gierwinkel", "azimut", "lacet", "rotation", "giro"),
-        *("desplazamiento", "deplacement", "旋转", "巡航"),
+        *("vandring", "dreh", "drehwinkel", "gier", "gieren", "gierwinkel", "azimut", "schwenk"),
+        *("schwenkwinkel", "lacet", "rotation", "giro", "desplazamiento", "deplacement", "旋转", "巡航"),
     ),
     "front": (
-        *("front", "vf", "uf", "forward", "fwd", "mf", "f"),
-        *("foran", "fremme", "vorne", "vorn", "avant", "delantero", "前"),
+        *("front", "vf", "uf", "uv", "forward", "fwd", "mf", "f"),
+        *("foran", "fremme", "vorne", "vorn", "vorderer", "avant", "delantero", "前"),
     ),
     "back": (
-        *("back", "rear", "vb", "ub", "aft", "mb", "b"),
-        *("bak", "bakre", "hinten", "arriere", "trasero", "后"),
+        *("back", "rear", "vb", "ub", "uh", "aft", "mb", "b"),
+        *("bak", "bakre", "hinten", "hinterer", "heck", "arriere", "trasero", "后"),
     ),
     "sum": ("sum", "vs", "us", "collective", "coll", "total", "vsum", "summe", "somme", "suma"),
     "difference": (
@@ -46,45 +47,121 @@ _WORDS: Final = {
     ),
 }
 """Words for each role, without accents: English, Greek letters, Norwegian, German, French, Spanish and
-Chinese."""
+Chinese. In German, vorne and hinten are abbreviated to v and h."""
 _OTHER_QUANTITIES: Final = {
     "a setpoint": (
         *("ref", "reference", "setpoint", "set", "sp", "des", "desired", "cmd", "command", "target", "goal"),
-        *("star", "opt", "c", "r"),
+        *("demand", "demanded", "commanded", "star", "opt", "c", "r"),
+        *("soll", "sollwert", "vorgabe", "fuhrung", "referenz", "referanse", "onsket", "settpunkt"),
+        *("consigne", "cible", "consigna", "referencia", "deseado"),
     ),
-    "a rate": ("rate", "dot", "vel", "velocity", "speed", "gyro", "omega", "d1"),
-    "an acceleration": ("acc", "acceleration"),
-    "an estimate": ("hat", "est", "estimate", "estimated", "filtered", "filt", "smoothed"),
-    "an error": ("err", "error"),
+    "a setpoint or a rate": ("d",),
+    "a rate": (
+        *("rate", "dot", "vel", "velocity", "speed", "gyro", "omega", "d1", "derivative", "deriv", "dt"),
+        *("geschwindigkeit", "geschw", "drehrate", "punkt", "ableitung", "hastighet", "derivert"),
+        *("vitesse", "velocidad", "derivada"),
+    ),
+    "an acceleration": ("acc", "accel", "acceleration", "beschleunigung", "akselerasjon", "ddot"),
+    "an estimate": (
+        *("hat", "est", "estimate", "estimated", "filtered", "filt", "filter", "smoothed", "smooth"),
+        *("lowpass", "low", "lp", "lpf", "kalman", "ekf", "observer", "f"),
+        *("gefiltert", "geglattet", "beobachter", "filtrert", "filtre", "filtree", "filtrado", "filtrada"),
+    ),
+    "an error": ("err", "error", "fehler", "abweichung", "avvik", "feil", "erreur", "deviation"),
     "an integral": ("integral", "int"),
-    "a feed-forward": ("ff", "feedforward"),
-    "a current": ("current", "amps", "ampere", "i"),
+    "a feed-forward": ("ff", "feedforward", "vorsteuerung", "foroverkobling"),
+    "a current": (
+        *("current", "curr", "amps", "ampere", "i", "if", "ib", "ih", "isense"),
+        *("strom", "motorstrom", "courant", "corriente"),
+    ),
+    "a supply voltage": (
+        *("supply", "battery", "batt", "bat", "vbat", "vbatt", "ubat", "vcc", "vdd", "vbus", "vin", "lipo"),
+        *("akku", "batterie", "versorgung", "versorgungsspannung", "batteri", "batterispenning"),
+        *("forsyning", "forsyningsspenning", "alimentation", "alimentacion", "bateria"),
+    ),
+    "another sensor": ("imu", "ahrs", "mpu", "mems", "inertial", "camera", "mocap"),
     "another quantity": (
-        *("state", "fault", "flags", "count2", "temp", "temperature", "battery", "rpm", "thrust", "torque"),
+        *(
+            "state",
+            "mode",
+            "fault",
+            "flags",
+            "status",
+            "count2",
+            "temp",
+            "temperature",
+            "temperatur",
+            "ambient",
+            "amb",
+        ),
+        *("rpm", "thrust", "torque", "schub", "drehmoment", "dreiemoment", "cpu"),
     ),
 }
 """Words of quantities that are neither a measured angle nor a motor's voltage."""
-_LETTERS: Final = frozenset({"c", "i"})
+_COUNTERS: Final = frozenset(
+    {
+        *("seq", "sequence", "idx", "index", "counter", "loop", "iteration", "iter", "sample", "samples"),
+        *("row", "frame", "nr", "no", "zaehler", "zahler", "teller", "compteur", "contador"),
+    }
+)
+"""Words of a counter of rows. Next to an angle they mean the counter of its encoder."""
+_LETTERS: Final = frozenset({"c", "i", "d", "f"})
 """Words of `_OTHER_QUANTITIES` that only count next to a role, as in ``e_c``."""
-_COMMANDS: Final = frozenset({"set", "cmd", "command", "target", "goal", "opt", "star", "c"})
+_ANGLE_LETTERS: Final = frozenset({"d", "f"})
+"""Letters that only count next to an angle: in ``V_f`` and ``V_d`` they name the voltage."""
+_COMMANDS: Final = frozenset({"set", "cmd", "command", "commanded", "target", "goal", "opt", "star", "c"})
 """Words of setpoints that a motor's voltage may have: commands are voltages before their limit."""
-_MEASURED: Final = frozenset({"measured", "meas", "real", "actual", "act", "encoder", "enc", "raw", "true"})
-_VOLTAGES: Final = frozenset({"u", "v", "m", "motor", "volt", "voltage", "input", "pwm", "duty"})
+_MEASURED: Final = frozenset(
+    {
+        *("measured", "meas", "real", "actual", "act", "encoder", "enc", "raw", "true"),
+        *("ist", "istwert", "gemessen", "malt", "mesure", "medido"),
+    }
+)
+_VOLTAGES: Final = frozenset(
+    {
+        *("u", "v", "m", "motor", "volt", "voltage", "input", "pwm", "duty"),
+        *("spannung", "spenning", "tension", "voltaje", "tastgrad", "padrag", "stellgrosse"),
+    }
+)
 """Words of the voltage of a motor that is not named, as in ``u1`` or ``motor_2``."""
-_HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle"})
+_DUTIES: Final = frozenset({"pwm", "duty", "tastgrad", "padrag", "percent", "prozent", "prosent"})
+"""Words of a share of the supply voltage."""
+_GERMAN_LETTERS: Final = {"v": "vorne", "h": "hinten"}
+_HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle", "mittel", "halb"})
 """Words of half a sum, or half a difference, of two voltages."""
 _TIMES: Final = frozenset(
     {
         *("t", "time", "times", "timestamp", "stamp", "tid", "zeit", "temps", "tiempo", "tempo", "时间"),
-        *("millis", "micros", "clock", "tout", "seconds", "elapsed"),
+        *("millis", "micros", "clock", "tout", "seconds", "elapsed", "zeitstempel", "uhrzeit", "tidspunkt"),
     }
 )
-_RATE_UNITS: Final = {"deg/s": "a rate", "rad/s": "a rate", "rad/s2": "an acceleration"}
+_OTHER_UNITS: Final = {
+    "deg/s": "a rate",
+    "rad/s": "a rate",
+    "rad/s2": "an acceleration",
+    "A": "a current",
+    "mA": "a current",
+    "°C": "another quantity",
+    "rpm": "another quantity",
+    "N": "another quantity",
+    "Nm": "another quantity",
+}
+"""Quantities by units that neither an angle nor a voltage has."""
 _SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])")
 _INDEX: Final = re.compile(r"\d+")
 _CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _CHINESE: Final = tuple(
     word for known in (*_WORDS.values(), _TIMES) for word in known if word and word[0] >= "\u4e00"
+)
+_MIN_PART: Final = 4
+"""Fewest letters of a word within a compound, as in ``Nickwinkelgeschwindigkeit``; shorter ones are within
+many other words."""
+_MIN_REST: Final = 3
+_PARTS: Final = frozenset(
+    word
+    for known in (*_WORDS.values(), *_OTHER_QUANTITIES.values(), _MEASURED, _VOLTAGES)
+    for word in known
+    if len(word) >= _MIN_PART
 )
 
 
@@ -106,7 +183,27 @@ def meanings_of(units: Mapping[str, str]) -> dict[str, ColumnMeaning]:
     """
     if len(units) > 1 and len({_INDEX.sub("", name) for name in units}) == 1:
         return {name: ColumnMeaning(possible_roles=ROLES) for name in units}
-    return {name: meaning_of(name, unit) for name, unit in units.items()}
+    meanings = {name: meaning_of(name, unit) for name, unit in units.items()}
+    return _without_duties_of_voltages(meanings, units)
+
+
+def _without_duties_of_voltages(
+    meanings: Mapping[str, ColumnMeaning], units: Mapping[str, str]
+) -> dict[str, ColumnMeaning]:
+    """Mark the duty of a motor as another quantity if its voltage is logged, too."""
+    duties = {name for name in meanings if _is_duty(name, units[name])}
+    stated = {meaning.role for name, meaning in meanings.items() if name not in duties} - {""}
+    return {
+        name: ColumnMeaning(meaning.role, "a duty, and the voltage is logged")
+        if name in duties and meaning.role in VOLTAGE_ROLES and meaning.role in stated
+        else meaning
+        for name, meaning in meanings.items()
+    }
+
+
+def _is_duty(name: str, unit: str) -> bool:
+    """Whether name or unit of a column state a share of the supply."""
+    return (unit or split_unit(name)[1]) in SHARES or bool(_DUTIES.intersection(words_of(name)))
 
 
 def meaning_of(name: str, unit: str = "") -> ColumnMeaning:
@@ -114,7 +211,7 @@ def meaning_of(name: str, unit: str = "") -> ColumnMeaning:
     words = words_of(name)
     unit = unit or split_unit(name)[1]
     role = _stated_role(words)
-    quantity = _RATE_UNITS.get(unit, "") or _stated_quantity(words, role)
+    quantity = _OTHER_UNITS.get(unit, "") or _stated_quantity(words, role)
     if quantity:
         return ColumnMeaning(role, quantity)
     if unit in VOLTAGE_UNITS or unit in SHARES:
@@ -140,11 +237,34 @@ def words_of(name: str) -> list[str]:
         if not unicodedata.combining(char)
     )
     words = [word for word in _SPLIT.split(without_accents) if word]
+    words += [part for word in words for part in _parts_of(word)]
     # Chinese writes no spaces between words.
     words += [word for word in _CHINESE if word in without_accents]
+    pairs = list(itertools.pairwise(words))
     # In v_f, v s and u_d the letter of the voltage belongs to the next word.
-    joined_pairs = [a + b for a, b in itertools.pairwise(words) if a in {"v", "u", "m"} and len(b) == 1]
+    joined_pairs = [a + b for a, b in pairs if a in {"v", "u", "m"} and len(b) == 1]
+    # In PWM_v and I_h the letters are those of vorne and hinten.
+    joined_pairs += [_GERMAN_LETTERS[b] for a, b in pairs if a in _VOLTAGES | {"i"} and b in _GERMAN_LETTERS]
     return words + joined_pairs
+
+
+def _parts_of(word: str) -> list[str]:
+    """Return the known words at the beginning and at the end of a compound; empty for a known word.
+
+    A derivative may begin with a d, as in ``dpitch``.
+    """
+    if word in _PARTS or word in _TIMES or word in _COUNTERS:
+        return []
+    if word[0] == "d" and len(word) > _MIN_PART and word[1:] in _PARTS:
+        return ["dot", word[1:]]
+    # The rest of a compound is a word, too: ``wpitch`` is none.
+    parts = [
+        part
+        for part in _PARTS
+        if (word.startswith(part) or word.endswith(part)) and len(word) >= len(part) + _MIN_REST
+    ]
+    # Of two words at the same place, the longer one is meant.
+    return [part for part in parts if not any(part != other and part in other for other in parts)]
 
 
 def _stated_role(words: list[str]) -> str:
@@ -168,10 +288,14 @@ def _stated_quantity(words: list[str], role: str) -> str:
     for quantity, known in _OTHER_QUANTITIES.items():
         stating = {word for word in words if word in known and (role or word not in _LETTERS)}
         if role in VOLTAGE_ROLES:
-            stating -= _COMMANDS
+            stating -= _COMMANDS | _ANGLE_LETTERS
         if stating:
             return quantity
-    return ""
+    names_no_role = {word for word in words if not word.isdigit()}
+    if names_no_role == {"i"}:
+        # As in ``i1``: the current of a motor that is not named.
+        return "a current"
+    return "a counter" if not role and _COUNTERS.intersection(words) else ""
 
 
 def is_half(name: str) -> bool:

@@ -1,0 +1,50 @@
+"""Names of columns in several languages, and what they mean."""
+
+from __future__ import annotations
+
+import pytest
+from heli_lab.setup.guess.names import meaning_of, meanings_of
+
+
+@pytest.mark.parametrize(
+    ("name", "role", "quantity"),
+    [
+        ("Höhenwinkel Soll", "elevation", "a setpoint"),
+        ("Nickwinkelgeschwindigkeit", "pitch", "a rate"),
+        ("Vandring filtrert", "travel", "an estimate"),
+        ("elevationMeasuredLowPass", "elevation", "an estimate"),
+        ("dpitch", "pitch", "a rate"),
+        ("epsilon_d", "elevation", "a setpoint or a rate"),
+        ("Strom vorne", "front", "a current"),
+        ("I_h", "back", "a current"),
+        ("i1", "", "a current"),
+        ("front [A]", "front", "a current"),
+        ("Versorgungsspannung", "", "a supply voltage"),
+        ("U_bat", "", "a supply voltage"),
+        ("pitch_imu", "pitch", "another sensor"),
+        ("loopCount", "", "a counter"),
+        ("U_v", "front", ""),
+        ("PWM_h", "back", ""),
+        ("V_f", "front", ""),
+        ("V_d", "difference", ""),
+        ("Pådrag foran", "front", ""),
+        ("Nick_ist", "pitch", ""),
+        ("Elevationswinkel", "elevation", ""),
+        # The rest of a compound has to be a word, too.
+        ("wpitch", "", ""),
+    ],
+)
+def test_a_name_states_a_role_or_another_quantity(name: str, role: str, quantity: str) -> None:
+    meaning = meaning_of(name)
+    assert (meaning.role, meaning.quantity) == (role, quantity)
+
+
+def test_a_duty_is_left_out_if_the_voltage_of_its_motor_is_logged() -> None:
+    meanings = meanings_of(
+        {"Spannung vorne": "", "Tastgrad vorne": "", "front duty [%]": "percent", "PWM_h": ""}
+    )
+    assert {name for name, meaning in meanings.items() if "duty" in meaning.quantity} == {
+        "Tastgrad vorne",
+        "front duty [%]",
+    }
+    assert meanings["PWM_h"].role == "back"
