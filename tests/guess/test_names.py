@@ -41,7 +41,13 @@ def test_a_name_states_a_role_or_another_quantity(name: str, role: str, quantity
 
 def test_a_duty_is_left_out_if_the_voltage_of_its_motor_is_logged() -> None:
     meanings = meanings_of(
-        {"Spannung vorne": "", "Tastgrad vorne": "", "front duty [%]": "percent", "PWM_h": ""}
+        {
+            "Spannung vorne": "",
+            "Tastgrad vorne": "",
+            "front duty [%]": "percent",
+            "PWM_h": "",
+            "Strom hinten": "",
+        }
     )
     assert {name for name, meaning in meanings.items() if "duty" in meaning.quantity} == {
         "Tastgrad vorne",

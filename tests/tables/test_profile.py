@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from heli_host.data.arrays import Floats
 from heli_host.data.tables import (
     Angle,
     Column,
@@ -15,6 +17,7 @@ from heli_host.data.tables import (
     Table,
     Voltage,
     flights_of,
+    profile_of,
     profile_text,
     read_profile,
 )
@@ -221,3 +224,33 @@ def test_filled_gaps_are_counted_in_the_notes() -> None:
     assert len(flights) == 1
     assert flights[0].meta["filled"].startswith("3 missing rows in 1 gaps, the longest ")
     assert "filled" not in flights_of(complete, dataclasses.replace(PROFILE, parts={}))[0].meta
+
+
+def test_a_logged_supply_scales_shares_row_by_row(tmp_path: Path) -> None:
+    t_s: Floats = 0.01 * np.arange(300, dtype=np.float64)
+    duty = 50.0 + 10.0 * np.sin(3.0 * t_s)
+    supply_V = np.linspace(12.0, 10.0, t_s.size)
+    logged = supply_V.copy()
+    logged[1::2] = np.nan
+    columns = {name: Column(0.1 * t_s) for name in ("elevation", "pitch", "travel")}
+    columns |= {
+        "t": Column(t_s),
+        "front": Column(duty),
+        "back": Column(duty),
+        "Vbat": Column(1e3 * logged, "mV"),
+    }
+    share = {"unit": "percent", "supply_column": "Vbat"}
+    content: dict[str, Any] = {axis: {"column": axis} for axis in ("elevation", "pitch", "travel")}
+    content |= {
+        "time": {"column": "t"},
+        "voltages": share,
+        "front": {"column": "front"},
+        "back": {"column": "back"},
+    }
+    profile = profile_of(content, "x.toml")
+    (flight,) = flights_of(Table("x.csv", columns), profile)
+    # Each second row has the supply of the row before.
+    np.testing.assert_allclose(flight.front_V, duty / 100.0 * np.repeat(supply_V[::2], 2))
+    path = tmp_path / "x.toml"
+    path.write_text(profile_text(profile), encoding="utf-8")
+    assert read_profile(path).voltages == profile.voltages

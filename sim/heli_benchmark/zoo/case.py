@@ -17,7 +17,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Truth:
+class ImportTruth:
     """The result of a right import."""
 
     samples: Mapping[str, Samples]  # By angle and motor
@@ -68,7 +68,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Case:
+class LogCase:
     """A drawn case."""
 
     seed: int
@@ -76,7 +76,7 @@ class Case:
     traits: tuple[str, ...]  # The draws, in a few words each
     container: str
     recording: Recording
-    truth: Truth
+    truth: ImportTruth
     rig_name: str
     gives_rig: bool  # Whether the user gives the rig
     rate_Hz: float  # Sampling rate that the user gives; 0 if the file has times

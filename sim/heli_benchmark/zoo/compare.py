@@ -9,9 +9,10 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_host.declaration import AXES
 
-from heli_benchmark.zoo.case import Samples, Truth
-from heli_benchmark.zoo.words import AXES, MOTORS
+from heli_benchmark.zoo.case import ImportTruth, Samples
+from heli_benchmark.zoo.words import MOTORS
 
 _SEARCH_STEP_S: Final = 0.04
 _COMPARED_ROWS: Final = 1500
@@ -42,7 +43,7 @@ class ImportedFlight:
     columns: Mapping[str, Floats]  # Angles [rad] and voltages [V], by axis and motor
 
 
-def mistakes(flights: Sequence[ImportedFlight], truth: Truth) -> list[str]:
+def mistakes(flights: Sequence[ImportedFlight], truth: ImportTruth) -> list[str]:
     """Name all differences between imported flights and the truth; empty if the import is right.
 
     The beginning of a flight's clock is free. Each flight is placed where its motion is that of the truth.
@@ -61,7 +62,7 @@ def mistakes(flights: Sequence[ImportedFlight], truth: Truth) -> list[str]:
     return list(dict.fromkeys(differences))
 
 
-def row_difference(flights: Sequence[ImportedFlight], truth: Truth) -> int:
+def row_difference(flights: Sequence[ImportedFlight], truth: ImportTruth) -> int:
     """Imported rows minus the intact rows of the file."""
     return sum(flight.t_s.size for flight in flights) - truth.row_count
 
@@ -74,7 +75,7 @@ def _union_s(spans: Sequence[tuple[float, float]]) -> float:
     return float(total)
 
 
-def _flight_mistakes(flight: ImportedFlight, truth: Truth) -> tuple[tuple[float, float], list[str]]:
+def _flight_mistakes(flight: ImportedFlight, truth: ImportTruth) -> tuple[tuple[float, float], list[str]]:
     """Return the part of the true flight that an imported flight covers, and its mistakes."""
     shift_s = _shift(flight, truth)
     at_s = flight.t_s + shift_s
@@ -98,7 +99,9 @@ def _flight_mistakes(flight: ImportedFlight, truth: Truth) -> tuple[tuple[float,
     return span, differences + motors
 
 
-def _angle_mistakes(axis: str, at_s: Floats, imported: Floats, samples: Samples, truth: Truth) -> list[str]:
+def _angle_mistakes(
+    axis: str, at_s: Floats, imported: Floats, samples: Samples, truth: ImportTruth
+) -> list[str]:
     true = np.interp(at_s, samples.t_s, samples.values)
     deviation = true - true.mean()
     scale = float(deviation @ (imported - imported.mean()) / max(float(deviation @ deviation), 1e-12))
@@ -124,7 +127,7 @@ def _angle_mistakes(axis: str, at_s: Floats, imported: Floats, samples: Samples,
 
 
 def _voltage_mistakes(
-    flight: ImportedFlight, at_s: Floats, rows: Floats, truth: Truth, *, exchanged: bool = False
+    flight: ImportedFlight, at_s: Floats, rows: Floats, truth: ImportTruth, *, exchanged: bool = False
 ) -> list[str]:
     """Compare voltages: scale, values, and their time relative to the angles."""
     differences = []
@@ -162,7 +165,7 @@ def _last_value(samples: Samples, at_s: Floats) -> Floats:
     return np.asarray(samples.values[last])
 
 
-def _shift(flight: ImportedFlight, truth: Truth) -> float:
+def _shift(flight: ImportedFlight, truth: ImportTruth) -> float:
     """Find the time of the truth minus that of an imported flight, by the motion of all angles."""
     true_s = truth.samples["pitch"].t_s
     rows = np.unique(np.linspace(0, flight.t_s.size - 1, min(flight.t_s.size, 500)).round().astype(int))
@@ -174,7 +177,7 @@ def _shift(flight: ImportedFlight, truth: Truth) -> float:
     return _best_shift(flight, truth, rows, best + np.arange(-0.05, 0.0501, 0.002))
 
 
-def _best_shift(flight: ImportedFlight, truth: Truth, rows: Floats, shifts_s: Floats) -> float:
+def _best_shift(flight: ImportedFlight, truth: ImportTruth, rows: Floats, shifts_s: Floats) -> float:
     scores = np.zeros(shifts_s.size)
     for axis in AXES:
         samples = truth.samples[axis]

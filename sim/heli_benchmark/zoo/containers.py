@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from heli_benchmark.zoo.case import Case, LoggedColumn, Recording
+from heli_benchmark.zoo.case import LogCase, LoggedColumn, Recording
 
 
-def write_case(case: Case, folder: Path) -> Path:
+def write_log(case: LogCase, folder: Path) -> Path:
     """Write the file of a case into a folder; return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     # Separate draws: the faults of lines do not depend on how many draws the recording took.
@@ -21,7 +21,7 @@ def write_case(case: Case, folder: Path) -> Path:
     return _WRITERS[case.container](case, folder, rng)
 
 
-def _row_order(case: Case, rng: np.random.Generator) -> list[int]:
+def _row_order(case: LogCase, rng: np.random.Generator) -> list[int]:
     """Order in which the rows are in the file: swapped, repeated, or the newest first."""
     count = case.recording.true_s.size
     rows = list(range(count))
@@ -58,7 +58,7 @@ def _number(value: float, decimals: int) -> str:
     return f"{value:.{decimals}f}" if decimals >= 0 else f"{value:.{-decimals}g}"
 
 
-def _write_text(case: Case, folder: Path, rng: np.random.Generator) -> Path:
+def _write_text(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
     recording = case.recording
     separator, decimal = case.dialect[0], case.dialect[1]
     names, cells = _text_cells(recording)
@@ -97,7 +97,7 @@ def _is_latin(lines: list[str]) -> bool:
 
 
 def _damaged(
-    rows: list[str], header: list[str], separator: str, case: Case, rng: np.random.Generator
+    rows: list[str], header: list[str], separator: str, case: LogCase, rng: np.random.Generator
 ) -> list[str]:
     """Damage lines, by which the file loses or gains no other line."""
     count = max(2, round(len(rows) * float(rng.uniform(0.002, 0.02))))
@@ -139,7 +139,7 @@ def _damaged(
     return lines
 
 
-def _write_mat(case: Case, folder: Path, rng: np.random.Generator) -> Path:
+def _write_mat(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
     from scipy.io import savemat
 
     recording = case.recording
@@ -188,7 +188,7 @@ def _matlab_name(name: str) -> str:
     return clean[:60]
 
 
-def _write_xlsx(case: Case, folder: Path, rng: np.random.Generator) -> Path:
+def _write_xlsx(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
     import openpyxl
 
     recording = case.recording
@@ -220,7 +220,7 @@ def _excel_time(recording: Recording, row: int) -> Any:
     return float(_number(value, recording.clock_decimals))
 
 
-def _write_parquet(case: Case, folder: Path, rng: np.random.Generator) -> Path:
+def _write_parquet(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
     import pandas
 
     recording = case.recording
@@ -244,7 +244,7 @@ def _write_parquet(case: Case, folder: Path, rng: np.random.Generator) -> Path:
     return path
 
 
-def _write_bag(case: Case, folder: Path, rng: np.random.Generator) -> Path:
+def _write_bag(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
     """Write topics of angles, voltages and extra columns.
 
     The angles have stamps of their sensor; the voltages have a header, or none. With `two clocks`, the clock
@@ -318,7 +318,7 @@ def _sender(
     return send_single
 
 
-_WRITERS: Final[Mapping[str, Callable[[Case, Path, np.random.Generator], Path]]] = {
+_WRITERS: Final[Mapping[str, Callable[[LogCase, Path, np.random.Generator], Path]]] = {
     "csv": _write_text,
     "txt": _write_text,
     "mat": _write_mat,

@@ -11,11 +11,12 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
+from heli_host.declaration import AXES
 from heli_sim.rig import Rig, load_rig
 
-from heli_benchmark.zoo.case import Case, LoggedColumn, Recording, Samples, Truth
+from heli_benchmark.zoo.case import ImportTruth, LogCase, LoggedColumn, Recording, Samples
 from heli_benchmark.zoo.flights import FlightRecipe
-from heli_benchmark.zoo.words import AXES, MOTORS, SUMS, UNIT_WORDS, VOCABULARIES, with_unit
+from heli_benchmark.zoo.words import MOTORS, SUMS, UNIT_WORDS, VOCABULARIES, with_unit
 
 _ROLES: Final = (*AXES, *MOTORS)
 _RATES_Hz: Final = (20.0, 25.0, 33.333333, 50.0, 60.0, 100.0, 125.0, 200.0, 250.0, 500.0, 1000.0)
@@ -122,7 +123,7 @@ class _Measured:
     volts_V: Mapping[str, Floats]
 
 
-def draw_case(seed: int, number: int, recipes: Sequence[FlightRecipe], flights: Sequence[Flight]) -> Case:
+def draw_case(seed: int, number: int, recipes: Sequence[FlightRecipe], flights: Sequence[Flight]) -> LogCase:
     """Draw the case of a seed and a number; it records one of the `flights`, which `recipes` describe."""
     random = _Random(seed, number)
     index = int(random.rng.integers(len(flights)))
@@ -144,7 +145,7 @@ class _Drawing:
         self.lost_s = 0.0
         self.time_tolerance_s = 0.0
 
-    def case(self, seed: int, number: int) -> Case:
+    def case(self, seed: int, number: int) -> LogCase:
         random = self.random
         container = random.weighted(_CONTAINERS)
         style = self._style(container)
@@ -181,7 +182,7 @@ class _Drawing:
         reason = refused.get(refusal, "")
         if clock_kind == "none" and not rate_Hz:
             reason = r"time|rate|clock"
-        truth = Truth(
+        truth = ImportTruth(
             truth_samples,
             measured.true_s.size,
             self.time_tolerance_s,
@@ -199,7 +200,7 @@ class _Drawing:
             dialect = ",."
         if clock_kind == "thousands" and dialect.startswith(","):
             dialect = ";."
-        return Case(
+        return LogCase(
             seed,
             number,
             tuple(self.traits),

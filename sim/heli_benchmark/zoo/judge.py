@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
+from unittest import mock
 
 import numpy as np
 from heli_host.ui.cli.entry import run
 
-from heli_benchmark.zoo.case import Case
+from heli_benchmark.zoo.case import LogCase
 from heli_benchmark.zoo.compare import ImportedFlight, mistakes, row_difference
-from heli_benchmark.zoo.containers import write_case
+from heli_benchmark.zoo.containers import write_log
 
 RIGHT: Final = "right"
 CONFIRMED: Final = "right, after a question"
@@ -71,9 +72,9 @@ class _Import:
     notes: str  # Notes of the written flights
 
 
-def judge(case: Case, folder: Path) -> Score:
+def judge_import(case: LogCase, folder: Path) -> Score:
     """Write, import and judge a case within a folder."""
-    path = write_case(case, folder)
+    path = write_log(case, folder)
     output = folder / "imported"
     arguments = ["import", str(path), "--guess", "-o", str(output)]
     if case.gives_rig:
@@ -100,7 +101,7 @@ def judge(case: Case, folder: Path) -> Score:
     return _judge_flights(case, confirmed, guessed.subjects)
 
 
-def _judge_flights(case: Case, imported: _Import, subjects: Sequence[str]) -> Score:
+def _judge_flights(case: LogCase, imported: _Import, subjects: Sequence[str]) -> Score:
     """Judge written flights; `subjects` are what the import had asked about."""
     if case.truth.refusal:
         return _score(case, SILENT, f"imported, and should be refused ({case.truth.refusal})")
@@ -127,7 +128,7 @@ def _is_questioned(mistake: str, subjects: Sequence[str]) -> bool:
     return False
 
 
-def _unsaid(case: Case, imported: _Import) -> list[str]:
+def _unsaid(case: LogCase, imported: _Import) -> list[str]:
     """Repairs of which the import has not said a word."""
     words = (imported.text + imported.notes).lower()
     unsaid = [
@@ -141,7 +142,7 @@ def _unsaid(case: Case, imported: _Import) -> list[str]:
     return unsaid
 
 
-def _judge_refusal(case: Case, imported: _Import) -> Score:
+def _judge_refusal(case: LogCase, imported: _Import) -> Score:
     line = _error_line(imported.text)
     # The remedy after the semicolon is no reason.
     reason = line.partition("; ")[0].partition(": ")[2]
@@ -156,11 +157,11 @@ def _error_line(text: str) -> str:
     return next((line for line in text.splitlines() if line.startswith("error: ")), text[-300:])
 
 
-def _score(case: Case, score: str, detail: str) -> Score:
+def _score(case: LogCase, score: str, detail: str) -> Score:
     return Score(case.name, score, case.traits, detail, case.container)
 
 
-def _write_known(case: Case, path: Path, profile: Path) -> Path:
+def _write_known(case: LogCase, path: Path, profile: Path) -> Path:
     """Write the columns that the user knows; tables without a header have numbered columns."""
     first = 1 + case.recording.has_clock
     name = "data[{}]" if path.suffix == ".mat" else "column {}"
@@ -175,7 +176,12 @@ def _run_import(arguments: list[str], output: Path, result: Path) -> _Import:
     for stale in output.glob("*.csv") if output.is_dir() else ():
         stale.unlink()
     printed = io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+    with (
+        contextlib.redirect_stdout(printed),
+        contextlib.redirect_stderr(printed),
+        # A figure takes a third of an import, and no score depends on it.
+        mock.patch("heli_lab.setup.guess.figure.draw", lambda guess, flight, path: path),
+    ):
         exit_code = run([*arguments, "--json", str(result)])
     content: dict[str, Any] = json.loads(result.read_text()) if result.exists() else {}
     flights = tuple(_read_flight(Path(item["file"])) for item in content.get("flights", ()))

@@ -28,7 +28,7 @@ from heli_benchmark.zoo.judge import (
     SCORES,
     SILENT,
     Score,
-    judge,
+    judge_import,
 )
 
 _FOLDER: Final = Path("build") / "zoo"
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
             scores.append(score)
             if score.score not in _FINE or options.case:
                 print(case_text(score), flush=True)
-    print(table(scores))
+    print(score_table(scores))
     if options.json is not None:
         options.json.write_text(json.dumps([asdict(score) for score in scores], indent=1) + "\n")
     return 1 if any(score.score == SILENT for score in scores) else 0
@@ -77,9 +77,9 @@ def score_drawn(seed: int, number: int, flights: Sequence[Flight], keep: Path | 
     case = draw_case(seed, number, RECIPES, flights)
     if keep is None:
         with tempfile.TemporaryDirectory() as temporary:
-            return judge(case, Path(temporary))
+            return judge_import(case, Path(temporary))
     shutil.rmtree(keep / case.name, ignore_errors=True)
-    return judge(case, keep / case.name)
+    return judge_import(case, keep / case.name)
 
 
 def case_text(score: Score) -> str:
@@ -92,7 +92,7 @@ def case_text(score: Score) -> str:
     )
 
 
-def table(scores: Sequence[Score]) -> str:
+def score_table(scores: Sequence[Score]) -> str:
     """Count the scores."""
     counts = collections.Counter(score.score for score in scores)
     lines = [f"{counts[name]:5d}  {name}" for name in SCORES]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-AXES: Final = ("elevation", "pitch", "travel")
 MOTORS: Final = ("front", "back")
 SUMS: Final = ("sum", "difference")
 

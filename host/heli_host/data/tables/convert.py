@@ -14,7 +14,7 @@ from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.data.tables.profile import MOTORS, Angle, Part, Profile, Voltage
 from heli_host.data.tables.rows import equal_runs, settle_blank_cells, timed_rows
-from heli_host.data.tables.table import COUNT, RowChange, Table
+from heli_host.data.tables.table import COUNT, SHARES, VOLTAGE_UNITS, RowChange, Table, split_unit
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
 
@@ -433,9 +433,26 @@ def _angle_rad_of(table: Table, angle: Angle, t_s: Floats, turns_freely: bool) -
 
 
 def _voltage_V_of(table: Table, voltage: Voltage, t_s: Floats) -> Floats:
-    """Return a voltage [V], shape (n,), from its column: apply delay, unit, sign and offset."""
-    delay_free = _without_delay(_values_of_column(table, voltage.column), t_s, voltage.delay_s)
+    """Return a voltage [V], shape (n,), from its column: apply supply, delay, unit, sign and offset."""
+    values = _values_of_column(table, voltage.column)
+    if voltage.supply_column and voltage.unit in SHARES:
+        values = values * _supply_V_of(table, voltage.supply_column) / voltage.supply_V
+    delay_free = _without_delay(values, t_s, voltage.delay_s)
     result: Floats = voltage.sign * voltage.volts * delay_free + voltage.offset_V
+    return result
+
+
+def _supply_V_of(table: Table, name: str) -> Floats:
+    """Return the supply voltage of each row [V], shape (n,); rows without a value have the last one."""
+    values = _values_of_column(table, name)
+    known = np.flatnonzero(np.isfinite(values))
+    if not known.size:
+        raise FlightDataError(
+            f"{table.source}: the supply column '{name}' is empty", "state supply_V instead"
+        )
+    last = known[np.clip(np.searchsorted(known, np.arange(values.size), side="right") - 1, 0, None)]
+    unit = table.columns[name].unit or split_unit(name)[1]
+    result: Floats = values[last] * VOLTAGE_UNITS.get(unit, 1.0)
     return result
 
 

@@ -16,7 +16,7 @@ from heli_host.errors import FlightDataError, file_remedy
 MOTORS: Final = ("front", "back")
 SUMS: Final = ("sum", "difference")
 _ACT: Final = ("after", "before")
-_SHARED: Final = ("unit", "full", "supply_V", "factor")
+_SHARED: Final = ("unit", "full", "supply_V", "supply_column", "factor")
 """What may be stated once for both voltages."""
 
 
@@ -53,6 +53,8 @@ class Voltage:
     delay_s: float = 0.0  # Delay of the column, s
     factor: float = 1.0
     """Factor of the column, such as 2 for half a sum, or the gain of an amplifier after the output."""
+    supply_column: str = ""
+    """Column of the supply voltage, if it was logged; it replaces `supply_V` row by row."""
 
     @property
     def volts(self) -> float:
@@ -276,6 +278,7 @@ class _Reader:
             self.number(entry, "offset_V", 0.0),
             self.number(entry, "delay_s", 0.0),
             self.positive(entry, "factor", 1.0),
+            self.text(entry, "supply_column", ""),
         )
 
     def part(self, entry: Mapping[str, Any]) -> tuple[str, Part]:
@@ -346,6 +349,8 @@ def _scale_lines(voltage: Voltage) -> list[str]:
     lines = [f'unit = "{voltage.unit}"']
     lines += [f"full = {voltage.full!r}"] if voltage.unit == "pwm" else []
     lines += [f"supply_V = {voltage.supply_V!r}"] if voltage.unit in SHARES else []
+    if voltage.supply_column:
+        lines.append(f"supply_column = {toml_string(voltage.supply_column)}")
     return lines + ([f"factor = {voltage.factor!r}"] if voltage.factor != 1.0 else [])
 
 

@@ -84,6 +84,7 @@ class Reference:
     rest_tolerance_deg: float
     counts: Mapping[str, float]  # Encoder counts per turn, by axis
     supply_V: float  # Largest voltage of a motor [V]
+    supply_column: str = ""  # Column with the supply voltage, of which `supply_V` is the mean; may be empty
     reverses: bool = False  # Whether a rotor gives thrust at reversed voltage
     travel_rad_s2: tuple[float, float] = (0.0, 0.0)
     """Constant acceleration of travel at level pitch, and its standard deviation; 0 if the rig has none."""

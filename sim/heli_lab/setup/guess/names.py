@@ -17,6 +17,7 @@ SUMS: Final = ("sum", "difference")
 VOLTAGE_ROLES: Final = (*PAIR, *SUMS)
 ROLES: Final = (*AXES, *VOLTAGE_ROLES)
 
+A_SUPPLY: Final = "a supply voltage"
 _WORDS: Final = {
     "elevation": (
         *("elevation", "elev", "theta", "epsilon", "eps", "el", "e"),
@@ -74,7 +75,7 @@ _OTHER_QUANTITIES: Final = {
         *("current", "curr", "amps", "ampere", "i", "if", "ib", "ih", "isense"),
         *("strom", "motorstrom", "courant", "corriente"),
     ),
-    "a supply voltage": (
+    A_SUPPLY: (
         *("supply", "battery", "batt", "bat", "vbat", "vbatt", "ubat", "vcc", "vdd", "vbus", "vin", "lipo"),
         *("akku", "batterie", "versorgung", "versorgungsspannung", "batteri", "batterispenning"),
         *("forsyning", "forsyningsspenning", "alimentation", "alimentacion", "bateria"),
@@ -192,7 +193,9 @@ def _without_duties_of_voltages(
 ) -> dict[str, ColumnMeaning]:
     """Mark the duty of a motor as another quantity if its voltage is logged, too."""
     duties = {name for name in meanings if _is_duty(name, units[name])}
-    stated = {meaning.role for name, meaning in meanings.items() if name not in duties} - {""}
+    stated = {
+        meaning.role for name, meaning in meanings.items() if name not in duties and not meaning.quantity
+    } - {""}
     return {
         name: ColumnMeaning(meaning.role, "a duty, and the voltage is logged")
         if name in duties and meaning.role in VOLTAGE_ROLES and meaning.role in stated

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.tables import Angle, Profile, Table, Voltage, flights_of, profile_text
+from heli_host.data.tables.table import SHARES
 from heli_host.errors import FlightDataError, HeliError
 from heli_sim.rig import Rig, load_rig, rig_names
 
@@ -56,6 +57,7 @@ from heli_lab.setup.guess.units import (
     rest_elevation,
     scales,
     supply_limits,
+    with_logged_supply,
 )
 
 _CANDIDATE_MARGIN_NATS: Final = 25.0
@@ -208,6 +210,10 @@ def propose(
     doubtful_columns, columns_sentence = column_ambiguities(ranked, options, files, reference)
     # Units: those that the file states, and otherwise those with gains like the rig's.
     scale, unit_ambiguities = choose_scale(motion, reference, rig)
+    logged_supply = with_logged_supply(reference, files)
+    if scale.voltage in SHARES and logged_supply is not reference:
+        reference = logged_supply
+        scale, unit_ambiguities = choose_scale(motion, reference, rig)
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
     ambiguities += doubtful_columns + unit_ambiguities
@@ -438,7 +444,15 @@ def _voltage_entries(
 ) -> dict[str, Voltage]:
     """Make the entries of the profile for the voltages: sum and difference, or front and back."""
     pair = [
-        Voltage(column, scale.voltage, scale.full_scale, reference.supply_V, polarity, factor=scale.factor)
+        Voltage(
+            column,
+            scale.voltage,
+            scale.full_scale,
+            reference.supply_V,
+            polarity,
+            factor=scale.factor,
+            supply_column=reference.supply_column,
+        )
         for column, polarity in zip(assignment.voltages, assignment.polarity, strict=True)
     ]
     if assignment.summed:

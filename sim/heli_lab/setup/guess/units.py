@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.tables import Profile, Table, flights_of
-from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS
+from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
 from heli_sim.rig import Rig
 
 from heli_lab.setup.guess.columns import PreparedFile, stated_unit
@@ -26,7 +26,7 @@ from heli_lab.setup.guess.motion import (
     pooled_fits,
     sum_and_difference,
 )
-from heli_lab.setup.guess.names import AXES, is_half
+from heli_lab.setup.guess.names import A_SUPPLY, AXES, is_half, meanings_of
 from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity
 from heli_lab.setup.guess.signals import SAMPLE_STEP_s, Signals, quantisation_step
 
@@ -370,7 +370,7 @@ def _supply_ambiguities(
                 "the sum was logged without its bias; look up the bias and set offset_V",
             )
         )
-    if best.voltage in SHARES and not motion.stated_units["voltage"]:
+    if best.voltage in SHARES and not motion.stated_units["voltage"] and not reference.supply_column:
         in_volts = max((each.log_likelihood for each in possible if each.voltage == "V"), default=-math.inf)
         or_volts = ", or V" if best.log_likelihood - in_volts < 2.0 * DECISIVE_NATS else ""
         ambiguities.append(
@@ -382,6 +382,32 @@ def _supply_ambiguities(
             )
         )
     return ambiguities
+
+
+_SUPPLY_SHARES: Final = (0.7, 1.4)
+"""Range of a logged supply over the rig file's. Batteries are within 0.8 to 1.2; a supply of another part of
+the rig, such as 5 V of the electronics, is far outside."""
+
+
+def with_logged_supply(reference: Reference, files: Sequence[PreparedFile]) -> Reference:
+    """Return the reference with the supply that the files log, for voltages that are shares of it.
+
+    Without a single column that is named as a supply and has plausible values, it is unchanged.
+    """
+    columns = files[0].table.columns
+    meanings = meanings_of({name: column.unit for name, column in columns.items()})
+    plausible: dict[str, float] = {}
+    for name, meaning in meanings.items():
+        if meaning.quantity != A_SUPPLY or any(name not in file.table.columns for file in files):
+            continue
+        per_unit = VOLTAGE_UNITS.get(columns[name].unit or split_unit(name)[1], 1.0)
+        mean_V = per_unit * float(np.nanmean(columns[name].values))
+        if _SUPPLY_SHARES[0] < mean_V / reference.supply_V < _SUPPLY_SHARES[1]:
+            plausible[name] = mean_V
+    if len(plausible) != 1:
+        return reference
+    ((name, mean_V),) = plausible.items()
+    return replace(reference, supply_V=round(mean_V, 3), supply_column=name)
 
 
 @dataclass(frozen=True)
@@ -471,7 +497,10 @@ def limited(
     tables: Sequence[Table], profile: Profile, reference: Reference, nats_for_one_way: Callable[[], float]
 ) -> tuple[Profile, list[Ambiguity]]:
     """Add voltage limits to a profile, so that commands are clipped to what the amplifier gives."""
-    profile, supply_ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
+    supply_ambiguities: list[Ambiguity] = []
+    # A share of a supply that was logged row by row cannot exceed it.
+    if not reference.supply_column:
+        profile, supply_ambiguities = _clipped_to_supply(tables, profile, reference.supply_V)
     profile, zero_ambiguities = _clipped_to_zero(tables, profile, reference, nats_for_one_way)
     return profile, supply_ambiguities + zero_ambiguities
 
