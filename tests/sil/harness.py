@@ -106,7 +106,6 @@ class Host:
 
 # Only how long a failing test takes.
 PATIENCE = 2000
-WAIT_s = 0.01
 
 
 class Bench:
