@@ -140,6 +140,24 @@ def test_a_filtered_copy_of_an_angle_is_no_third_angle(time_constant_s: float) -
 
 
 @pytest.mark.medium
+def test_the_origin_of_a_filtered_copy_is_used_though_the_copy_comes_first() -> None:
+    source = piloted("quanser-course", "travel", 3, 25.0).flight
+    table = flight_table(pitch2=low_passed(source.pitch_rad, 0.1, source.step_s))
+    guess = proposed(replace(table, columns=dict(reversed(table.columns.items()))))
+    assert columns_of(guess)["pitch"] == "pitch"
+    assert any("pitch2 (a filtered copy of pitch)" in sentence for sentence in guess.evidence)
+
+
+@pytest.mark.medium
+def test_an_axis_that_follows_its_setpoint_closely_is_no_filtered_copy_of_it() -> None:
+    source = piloted("quanser-course", "travel", 3, 25.0).flight
+    smooth = low_passed(low_passed(source.travel_rad, 0.1, source.step_s)[::-1], 0.1, source.step_s)[::-1]
+    guess = proposed(flight_table(travel3=np.concatenate((smooth[20:], np.full(20, smooth[-1])))))
+    assert columns_of(guess)["travel"] == "travel" or "the columns" in subjects(guess)
+    assert not any("travel (a filtered copy" in sentence for sentence in guess.evidence)
+
+
+@pytest.mark.medium
 @pytest.mark.parametrize("missing", ["elevation", "pitch", "travel"])
 def test_two_angles_are_refused_though_another_column_could_be_the_third(missing: str) -> None:
     rows = np.arange(piloted("quanser-course", "travel", 3, 25.0).flight.t_s.size)

@@ -285,8 +285,11 @@ def _without_copies(
     for name in columns:
         if kept and _are_copies(signals, name, kept[0]):
             left_out[name] = f"the same as {kept[0]}"
-        elif kept and _filter_lag_s(signals, name, kept[0]) is not None:
-            left_out[name] = f"a filtered copy of {kept[0]}"
+        elif kept and (lag_s := _filter_lag_s(signals, name, kept[0])) is not None:
+            # The copy may come first; then the origin is ahead of it.
+            origin, copy = (name, kept[0]) if lag_s < 0.0 else (kept[0], name)
+            kept[0] = origin
+            left_out[copy] = f"a filtered copy of {origin}"
         elif measured and name not in measured:
             left_out[name] = f"{measured[0]} is measured"
         else:
@@ -318,8 +321,13 @@ def _without_rates(
         (name for name in free if name not in rates),
         key=lambda name: (name not in motors, name not in file.encoders, resembles_rate(name)),
     ):
-        # Two motors may get the same voltage.
-        others = [other for other in (*named, *kept) if not {name, other} <= motors]
+        # Two motors may get the same voltage, and a column in volts stands for no angle.
+        roles = set(meanings[name].possible_roles)
+        others = [
+            other
+            for other in (*named, *kept)
+            if not {name, other} <= motors and roles.intersection(meanings[other].possible_roles)
+        ]
         copied = next((other for other in others if _are_copies(signals, name, other)), None)
         lags_s = {other: _filter_lag_s(signals, name, other) for other in others if name not in motors}
         origin = next((other for other, lag_s in lags_s.items() if lag_s is not None), None)
@@ -357,7 +365,17 @@ def _filter_lag_s(signals: Signals, name: str, origin: str) -> float | None:
     }
     lag_s = max(matches, key=lambda each: matches[each])
     # Two motors may get almost the same voltage, but at the same time.
-    return lag_s if lag_s != 0.0 and matches[lag_s] > _FILTERED_MATCH else None
+    if lag_s == 0.0 or matches[lag_s] <= _FILTERED_MATCH:
+        return None
+    # A filter smooths. An axis that follows its setpoint is rougher than the setpoint.
+    later, earlier = (name, origin) if lag_s > 0.0 else (origin, name)
+    return lag_s if _roughness(signals, later) < _roughness(signals, earlier) else None
+
+
+def _roughness(signals: Signals, name: str) -> float:
+    """Return the size of a column's fast changes relative to its slow ones, in any unit."""
+    slow = float(signals.filtered[name].rate[signals.inner].std())
+    return float(np.diff(signals.raw[name], 2)[signals.inner[2:]].std()) / max(slow, 1e-300)
 
 
 def _rate_correlation(signals: Signals, name: str, origin: str) -> float:
