@@ -143,7 +143,7 @@ def test_a_filtered_copy_of_an_angle_is_no_third_angle(time_constant_s: float) -
 def test_the_origin_of_a_filtered_copy_is_used_though_the_copy_comes_first() -> None:
     source = piloted("quanser-course", "travel", 3, 25.0).flight
     table = flight_table(pitch2=low_passed(source.pitch_rad, 0.1, source.step_s))
-    guess = proposed(replace(table, columns=dict(reversed(table.columns.items()))))
+    guess = proposed(replace(table, columns=dict(list(table.columns.items())[::-1])))
     assert columns_of(guess)["pitch"] == "pitch"
     assert any("pitch2 (a filtered copy of pitch)" in sentence for sentence in guess.evidence)
 
