@@ -38,8 +38,7 @@ web: ## write build/web/heli-lab.html, a page that flies in a browser
 
 docs: ## build the site in build/docs/index.html; a warning or a broken link fails
 	@.ci/setup docs
-	@.venv/bin/python -m sphinx --quiet --fail-on-warning --keep-going --fresh-env --builder html docs build/docs
-	@echo "open build/docs/index.html"
+	@.ci/site
 
 quick: ## run the fast tests; use it after each edit
 	@.ci/test quick $(TESTS)

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -42,6 +43,14 @@ def typed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Typed]:
 
     with Typed(tmp_path_factory.mktemp("typed") / "output") as started:
         yield started
+
+
+@pytest.fixture(scope="session")
+def single_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page that flies in a browser, as one file."""
+    from tests.web.pages import write_whole_page
+
+    return write_whole_page(tmp_path_factory.mktemp("page"))
 
 
 def pytest_collection_finish() -> None:

@@ -123,7 +123,11 @@ def check_citation(root: Path) -> Iterator[Finding]:
 def build(root: Path, folder: Path) -> Iterator[Finding]:
     """Build the source archive, and the wheel from that archive, into a folder."""
     shutil.rmtree(folder, ignore_errors=True)
-    built = _run([sys.executable, "-m", "build", "--outdir", str(folder), str(root)], root)
+    compiled = _run([sys.executable, "-m", "heli_web.compiler"], root)
+    yield Finding("the boards are compiled to WebAssembly", _last_line(compiled), "run: make web")
+    words = [sys.executable, "-m", "build", "--outdir", str(folder), str(root)]
+    module = {"HELI_BOARD_WASM": str(root / "build/web/board.wasm")}
+    built = _run(words, root, {**os.environ, **module})
     yield Finding("source archive and wheel are built", _last_line(built), "run: .venv/bin/python -m build")
 
 
@@ -157,13 +161,17 @@ def check_wheel(wheel: Path) -> Finding:
     with zipfile.ZipFile(wheel) as file:
         names = file.namelist()
     missing = [name for name in EXTENSIONS if not any(path.startswith(name + ".") for path in names)]
-    missing += [] if any(name.endswith(".elf") for name in names) else ["the Due's firmware (*.elf)"]
+    for file_type, content in (
+        (".elf", "the Due's firmware (*.elf)"),
+        (".wasm", "both boards for the browser"),
+    ):
+        missing += [] if any(name.endswith(file_type) for name in names) else [content]
     tests = [name for name in names if re.search(r"(^|/)(tests?/|test_|conftest|heli_test_)", name)]
     problem = f"missing: {', '.join(missing)}" if missing else f"it contains {tests[0]}" if tests else ""
     return Finding(
         "the wheel has both boards and no tests",
         problem,
-        "install the cross-compiler: make setup; build again",
+        "run: make setup, make web; build again",
     )
 
 
@@ -180,7 +188,7 @@ def check_source_archive(archive: Path) -> Finding:
 
 
 def fly_from(command: Sequence[str], folder: Path, environment: dict[str, str]) -> Finding:
-    """Fly an installed ``heli-host`` without any program on its path, so without a compiler.
+    """Fly an installed ``heli-host``, and write a page, without a program on its path, so without a compiler.
 
     Parameters
     ----------
@@ -200,7 +208,8 @@ def fly_from(command: Sequence[str], folder: Path, environment: dict[str, str]) 
         **environment,
     }
     log = folder / "hover.mcap"
-    for words in (["fly", "hover", "--sil", "--speed", "max", "--log", str(log)], ["info", str(log)]):
+    page = ["web", "hover", "--rig", "makki2024", "--output", str(folder / "heli-lab.html")]
+    for words in (page, ["fly", "hover", "--sil", "--speed", "max", "--log", str(log)], ["info", str(log)]):
         flown = _run([*command, *words], folder, clean)
         if flown.returncode:
             return Finding(
@@ -241,19 +250,7 @@ def install_and_fly(wheels: Sequence[Path]) -> Iterator[Finding]:
 
 def check_documents(root: Path) -> Iterator[Finding]:
     """Build the site; a warning or a broken link is a problem."""
-    words = [
-        "--quiet",
-        "--fail-on-warning",
-        "--keep-going",
-        "--fresh-env",
-        "--builder",
-        "html",
-        "docs",
-        "build/docs",
-    ]
-    yield Finding(
-        "the site builds", _last_line(_run([sys.executable, "-m", "sphinx", *words], root)), "run: make docs"
-    )
+    yield Finding("the site builds", _last_line(_run([".ci/site"], root)), "run: make docs")
 
 
 def checks(root: Path) -> dict[str, Callable[[], Iterator[Finding]]]:

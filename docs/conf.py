@@ -20,6 +20,7 @@ copyright = author
 release = version_of(tomllib.loads((HERE.parent / "pyproject.toml").read_text())["project"]["name"])
 version = release
 
+FLY_NOW = "Fly it now"
 has_api: bool = not tags.has("without_api")  # type: ignore[name-defined]  # noqa: F821 - Sphinx puts it here
 extensions = ["myst_parser", "mathml", "verbs", *(["sphinx.ext.autodoc", "numpydoc"] if has_api else [])]
 source_suffix = {".md": "markdown"}
@@ -71,7 +72,15 @@ class NoReference(Directive):
         return []
 
 
+def link_page(app: Any, doctree: nodes.document, _: str) -> None:
+    """Link from the first page to the page that flies, if the site holds it; otherwise to the guide."""
+    for link in doctree.findall(nodes.reference):
+        if app.config.html_extra_path and link.astext() == FLY_NOW:
+            link["refuri"] = Path(app.config.html_extra_path[0]).name
+
+
 def setup(app: Any) -> None:
     """Leave the API reference out where that was asked for."""
+    app.connect("doctree-resolved", link_page)
     if not has_api:
         app.add_directive("automodule", NoReference)

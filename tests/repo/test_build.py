@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Final, Literal
 
 import pytest
+from heli_web.compiler import built_board
 from scikit_build_core.settings.skbuild_model import ScikitBuildSettings
 from scikit_build_core.settings.skbuild_read_settings import SettingsReader
 
@@ -325,7 +326,12 @@ def test_a_wheel_without_the_board_or_with_tests_is_found(tmp_path: Path) -> Non
         file.writestr("heli_sim/_native.so", "")
     assert "heli_sim/due/_due_board" in release.check_wheel(wheel).problem
     with zipfile.ZipFile(wheel, "w") as file:
-        for name in (*(f"{name}.so" for name in release.EXTENSIONS), "heli.elf", "tests/test_plan.py"):
+        for name in (
+            *(f"{name}.so" for name in release.EXTENSIONS),
+            "heli.elf",
+            "board.wasm",
+            "tests/test_plan.py",
+        ):
             file.writestr(name, "")
     assert release.check_wheel(wheel).problem == "it contains tests/test_plan.py"
 
@@ -355,6 +361,9 @@ def test_the_wheel_of_this_tree_flies_without_a_compiler(tmp_path: Path) -> None
     pytest.importorskip("scikit_build_core", reason="the build backend is not installed: make setup")
     if shutil.which("arm-none-eabi-g++") is None:
         pytest.skip("skipped: no cross-compiler, so the wheel lacks the Due's firmware")
+    if importlib.util.find_spec("ziglang") is None:
+        pytest.skip("skipped: no compiler for WebAssembly: make setup")
+    built_board(print)
     words = ["wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", str(tmp_path), str(ROOT)]
     subprocess.run([sys.executable, "-m", "pip", *words], check=True, capture_output=True)
     (wheel,) = tmp_path.glob("*.whl")

@@ -9,10 +9,9 @@ from __future__ import annotations
 import importlib.util
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, TextIO
 
 from heli_sim.errors import SimError
 
@@ -52,12 +51,11 @@ def compile_board(output: Path, root: Path = _ROOT) -> None:
     """Compile flight code, world and emulated Due to the WebAssembly module `output`."""
     import ziglang
 
-    output.parent.mkdir(parents=True, exist_ok=True)
-    # In a folder of its own, and renamed, because two processes may compile at the same time.
-    with tempfile.TemporaryDirectory(dir=output.parent) as folder:
-        built = Path(folder) / output.name
-        _compile(built, root, Path(ziglang.__file__).parent / "lib")
-        built.replace(output)
+    folder = output.parent / "objects"
+    folder.mkdir(parents=True, exist_ok=True)
+    built = folder / output.name
+    _compile(built, root, Path(ziglang.__file__).parent / "lib")
+    built.replace(output)
 
 
 def _compile(output: Path, root: Path, library: Path) -> None:
@@ -113,11 +111,28 @@ def is_checkout() -> bool:
 
 def built_board(progress: Callable[[str], object]) -> Path:
     """Return the WebAssembly module of this checkout, compiled if it is older than its sources."""
-    output = _ROOT / "build/web/board.wasm"
     if not is_checkout():
         raise SimError(
             "this package has no WebAssembly module", "build the page in a checkout of the sources: make web"
         )
+    output = _ROOT / "build/web/board.wasm"
+    output.parent.mkdir(parents=True, exist_ok=True)
+    # Of several processes, such as the workers of a test run, the first compiles, and the others wait for it.
+    with (output.parent / "lock").open("w") as lock:
+        _wait_for(lock)
+        return _compiled_once(output, progress)
+
+
+def _wait_for(lock: TextIO) -> None:
+    try:
+        import fcntl
+    except ImportError:
+        return
+    fcntl.flock(lock, fcntl.LOCK_EX)
+
+
+def _compiled_once(output: Path, progress: Callable[[str], object]) -> Path:
+    """Return the module, compiled if it is older than its sources."""
     headers = [path for folder in _INCLUDES for path in (_ROOT / folder).rglob("*.hpp")]
     newest_s = max(path.stat().st_mtime for path in (*sources(), *headers, Path(__file__)))
     if output.exists() and output.stat().st_mtime >= newest_s:
@@ -127,3 +142,7 @@ def built_board(progress: Callable[[str], object]) -> Path:
     progress("compiling flight code and emulated Due to WebAssembly; the first time takes two minutes")
     compile_board(output)
     return output
+
+
+if __name__ == "__main__":
+    built_board(print)
