@@ -36,6 +36,7 @@ from tests.bench.lab import (
 )
 from tests.bench.page import measure_foxglove, measure_page
 from tests.bench.result import PROMISES, Measured
+from tests.bench.web import measure_web, measure_web_diagnosis
 
 Say = Callable[[str], None]
 
@@ -53,6 +54,11 @@ def module(name: str) -> Callable[[], str]:
 def cross_compiler() -> str:
     """Say whether the Due's compiler is lacking."""
     return "" if has_cross_compiler() else "no cross-compiler for the Due; make firmware says how to get it"
+
+
+def web_compiler() -> str:
+    """Say whether the compiler for WebAssembly, or the browser's driver, is lacking."""
+    return module("ziglang")() or module("playwright")()
 
 
 @cache
@@ -95,6 +101,14 @@ PARTS = (
         300,
         lambda _: measure_foxglove(),
         module("foxglove"),
+    ),
+    Part("web", "flying in Chromium, stopping, and an hour of it", 330, measure_web, web_compiler),
+    Part(
+        "web-diagnosis",
+        "diagnosing a hidden lag from two logs of the page",
+        90,
+        measure_web_diagnosis,
+        web_compiler,
     ),
     Part(
         "due",

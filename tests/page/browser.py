@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
@@ -19,7 +20,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, Route, expect, sy
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 PATIENCE_S = 90.0
 expect.set_options(timeout=PATIENCE_S * 1e3)
-WIDE, TABLET, PHONE = (1280, 720), (800, 1200), (390, 844)
+WIDE, TABLET, PHONE, PROJECTOR = (1280, 720), (800, 1200), (390, 844), (1920, 1080)
 SELDOM_DRAWN = """
 const drawn = window.requestAnimationFrame.bind(window);
 window.requestAnimationFrame = (draw) => setTimeout(() => drawn(draw), 200);
@@ -75,6 +76,15 @@ def click(page: Page, selector: str) -> None:
     element.click(force=True)
 
 
+def save_log(page: Page, log: Path) -> None:
+    """Wait until the page that flies by itself has a log, and save the newest as a user does."""
+    until(page, "Boolean(document.querySelector('.lab-save'))")
+    click(page, "#tab-lab")
+    with page.expect_download(timeout=PATIENCE_S * 1e3) as download:
+        click(page, ".lab-save")
+    download.value.save_as(log)
+
+
 @dataclass
 class Tabs:
     """Tabs, and everything that went wrong in them."""
@@ -88,7 +98,14 @@ class Tabs:
         page = self.context.new_page()
         self.pages.append(page)
         page.on("pageerror", lambda error: self.wrong.append(f"error: {error}"))
-        page.on("requestfailed", lambda request: self.wrong.append(f"failed: {request.url}"))
+        page.on(
+            "requestfailed",
+            lambda request: (
+                self.wrong.append(f"failed: {request.url}")
+                if request.url.startswith(("http", "ws"))
+                else None
+            ),
+        )
         page.on(
             "console",
             lambda message: (
@@ -102,11 +119,12 @@ class Tabs:
             ),
         )
         page.goto(url)
-        until(page, "Boolean(heliPage?.status && document.querySelector('#control').textContent)")
+        until(page, "Boolean(window.heliPage?.status && document.querySelector('#control').textContent)")
         return page
 
     def _guard(self, route: Route) -> None:
-        if urlsplit(route.request.url).hostname in ("127.0.0.1", "localhost"):
+        address = urlsplit(route.request.url)
+        if address.scheme in ("file", "blob") or address.hostname in ("127.0.0.1", "localhost"):
             route.continue_()
         else:
             self.wrong.append(f"left this machine: {route.request.url}")
@@ -114,10 +132,10 @@ class Tabs:
 
 
 @contextmanager
-def tabs(browser: Browser, size: tuple[int, int] = WIDE) -> Iterator[Tabs]:
-    """Tabs of one window, closed at the end."""
+def tabs(browser: Browser, size: tuple[int, int] = WIDE, offline: bool = False) -> Iterator[Tabs]:
+    """Tabs of one window, closed at the end; offline, only files can be opened."""
     with ExitStack() as stack:
-        context = browser.new_context(viewport={"width": size[0], "height": size[1]})
+        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, offline=offline)
         stack.callback(context.close)
         opened = Tabs(context)
         context.route("**/*", opened._guard)

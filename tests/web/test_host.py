@@ -10,6 +10,8 @@ import heli_host
 import numpy as np
 import pytest
 from heli_host.board.heli import Heli
+from heli_host.board.rest_check import HoverTilt, RestAngles
+from heli_host.board.samples import Samples
 from heli_host.data.log.reader import read_log
 from heli_host.errors import HeliError
 from heli_host.fly.plan import load_plan
@@ -19,6 +21,7 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import parse_url
 from heli_sim.sil.world import SilWorld
 from heli_web.facts import page_facts
+from numpy.typing import NDArray
 
 from tests.web.recording import RecordedEngine, run_script
 
@@ -111,3 +114,44 @@ def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(
     for axis, bound_deg in (("elevation", 0.3), ("travel", 2.0)):
         difference = page.ticks[f"{axis}_rad"][:rows] - host.ticks[f"{axis}_rad"][:rows]
         assert np.degrees(np.sqrt(np.mean(difference**2))) < bound_deg
+
+
+def angles_after_landings() -> list[tuple[RestAngles, NDArray[np.float64], NDArray[np.float64]]]:
+    """Angles at rest, shifted, swinging, held or floating; drawn by chance."""
+    random, cases = np.random.default_rng(20), []
+    for _ in range(200):
+        before = RestAngles(-25.0, float(random.choice([0.0, 1.2, np.nan])), 0.1, HoverTilt(0.1))
+        before.hover.mean_deg = float(random.choice([np.nan, 0.0, -8.0, 5.0]))
+        tick = np.arange(int(random.choice([100, 1000, 3000, 16_000])))
+        decay = np.exp(-tick * 1e-3 / random.choice([0.5, 2.0, 1e3]))
+        shift_deg, swing_deg = (
+            random.choice([0.0, 0.8, random.uniform(-9.0, 9.0)]),
+            random.choice([0.0, 0.05, 3.0]),
+        )
+        pitch_deg = shift_deg + swing_deg * decay * np.cos(2e-3 * tick)
+        sink_deg = random.choice([0.0, 0.7, 1.3]) * np.exp(-tick * 1e-3)
+        cases.append((before, -25.0 + random.choice([0.0, 1.2, -1.4]) + sink_deg, pitch_deg))
+    return cases
+
+
+def test_small_host_compares_angles_at_rest_like_heli_host(node: str) -> None:
+    given, expected = [], []
+    for before, elevation_deg, pitch_deg in angles_after_landings():
+        columns: dict[str, Any] = {field: np.zeros(len(pitch_deg)) for field in Samples.__dataclass_fields__}
+        columns |= {"elevation_rad": np.radians(elevation_deg), "pitch_rad": np.radians(pitch_deg)}
+        expected.append(before.shift_after(Samples(**columns)))
+        start = [value if np.isfinite(value) else None for value in (before.pitch_deg, before.hover.mean_deg)]
+        given.append([before.elevation_deg, *start, elevation_deg.tolist(), pitch_deg.tolist()])
+    assert None in expected
+    assert "" in expected
+    assert len(set(expected)) > 10
+    assert run_script(node, "rest.mjs", given) == expected
+
+
+def test_a_seed_draws_the_numbers_of_numpy(node: str) -> None:
+    seeds = [1, 2, 7, 12345, 2**32 - 1]
+    drawn = [
+        [*np.random.default_rng(seed).uniform(-5e4, 5e4, 3), np.random.default_rng(seed).integers(2**31 - 2)]
+        for seed in seeds
+    ]
+    assert run_script(node, "random.mjs", seeds) == drawn

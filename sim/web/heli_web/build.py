@@ -28,7 +28,7 @@ _POLICY: Final = (
 )
 _WORKER: Final = (
     *("declaration", "frames", "engine", "vendor/fzstd", "zstd", "replay", "log", "plans", "world"),
-    *("settings", "host", "worker"),
+    *("rest", "random", "settings", "host", "worker"),
 )
 """Modules of the worker, each behind those that it imports."""
 _DASHBOARD_MODULES: Final = (
@@ -52,7 +52,7 @@ def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[i
     modules = [[f"{name}.js", _static(static, f"{name}.js")] for name in _DASHBOARD_MODULES]
     parts = {
         "facts": facts,
-        "modules": [*modules, *([name, _page_file(name)] for name in ("settings.js", "lab.js"))],
+        "modules": [*modules, *([name, _page_file(name)] for name in ("random.js", "settings.js", "lab.js"))],
         "worker": bundle(_page_file(f"{name}.js") for name in _WORKER),
         "uplot": _static(static, "vendor/uplot.js"),
     }

@@ -4,12 +4,14 @@ import { CHANNELS, LINK, NAMES, SETPOINT_MARGIN_DEG } from "./declaration.js";
 import { CHANNEL, Engine, FAULTS, faultText, HeliError, nameOf, stateText } from "./engine.js";
 import { crc32 } from "./frames.js";
 import { LogWriter } from "./log.js";
+import { RestAngles } from "./rest.js";
 import { closedAxes, takeOffRoute, Tracking } from "./plans.js";
 
 const AXES = ["elevation", "pitch", "travel"];
 const DEG = 180 / Math.PI;
 const INTERVAL_TICKS = 20, LEAD_TICKS = 100, LONGEST_LEAD_TICKS = 400, SETPOINT_LEAD_TICKS = 40;
-const BEFORE_TICKS = 500, AFTER_TICKS = 200;
+const BEFORE_TICKS = 500, AFTER_TICKS = 200, REST_TICKS = 500;
+const IN_THE_AIR = ["closed_loop", "streamed", "open_loop"], LANDED_BY = ["land", "stale_land"];
 const DOWN = ["idle", "fault"], FLYING = ["armed", "closed_loop", "hold"];
 const URGENT = { fault: 4, link_lost: 4, board_restarted: 4, link_silent: 3, setpoint_stale: 3, setpoint_rejected: 3 };
 const STATE_REMEDIES = {
@@ -23,7 +25,7 @@ export class Host {
   // world: see world.js; facts: what heli_web.build writes; tell: takes news for the page.
   constructor(world, facts, tell, setup = {}) {
     Object.assign(this, { world, facts, tell, setup, engine: new Engine(), tasks: [], params: {}, undo: [], marks: 0, stops: 0 });
-    Object.assign(this, { events: [], doing: "", flight: null, target: null, recorder: null, cause: "", pull: false, arrivedTick: 0 });
+    Object.assign(this, { events: [], doing: "", flight: null, target: null, recorder: null, cause: "", pull: false, arrivedTick: 0, recent: [], atRest: null });
     Object.assign(FAULTS, facts.faults);
   }
 
@@ -48,6 +50,8 @@ export class Host {
     for (const batch of batches) {
       this.arrivedTick = this.world.tick;
       this.recorder?.log.writeTicks(batch);
+      this.recent.push(batch);
+      while (this.recent[0].tick <= batch.tick - REST_TICKS) this.recent.shift();
       this.flight?.take?.(batch);
       this.tell.rows(batch);
     }
@@ -56,7 +60,7 @@ export class Host {
 
   event({ tick, kind, text, message }) {
     if (kind === "board_restarted") {
-      this.target = null;
+      [this.target, this.recent, this.atRest] = [null, [], null];
       this.tell.cleared();
       this.start(this.readParameters());
     }
@@ -207,8 +211,18 @@ export class Host {
     if (!isReached) throw new HeliError(`telemetry does not show the state ${state}`, "check the link, then try again");
   }
 
+  // Angles of the newest samples of an axis [deg].
+  recentDeg(axis) { return this.recent.flatMap(({ raw }) => this.batchDeg(axis, raw)); }
+
+  batchDeg(axis, raw) {
+    const deg = this.radPerCount(axis) * DEG;
+    return Array.from(raw[CHANNEL[`${axis}_count`]], (count) => count * deg);
+  }
+
   *arm(stops) {
+    const atRest = new RestAngles(this.recentDeg("elevation"), this.recentDeg("pitch"), this.radPerCount("pitch") * DEG);
     yield* this.command("arm", {}, stops);
+    this.atRest = atRest;
     yield* this.waitFor("armed", stops);
   }
 
@@ -370,13 +384,18 @@ class PlanFlight {
 
   // Samples: judges the tracking, and streams the setpoint that is due.
   take({ tick, raw }) {
+    const { host } = this, count = raw[0].length;
+    host.atRest?.hover.take(tick + count - 1, IN_THE_AIR.includes(nameOf("state", raw[CHANNEL.state][count - 1])), () => host.batchDeg("pitch", raw));
+    if (this.landed) for (const axis of ["elevation", "pitch"]) this.landed[axis].push(...host.batchDeg(axis, raw));
     if (!this.streaming) return;
-    const { host } = this, count = raw[0].length, rad = AXES.map((axis) => host.radPerCount(axis));
+    const rad = AXES.map((axis) => host.radPerCount(axis));
     const counts = AXES.map((axis) => raw[CHANNEL[`${axis}_count`]]), goals = AXES.map((axis) => raw[CHANNEL[`${axis}_setpoint`]]), states = raw[CHANNEL.state];
     const angleDeg = (axis, i) => counts[axis][i] * rad[axis] * DEG, goalDeg = (axis, i) => goals[axis][i] * CHANNELS[CHANNEL[`${AXES[axis]}_setpoint`]][3] * DEG;
+    const errors = [0, 0, 0]; // one array for all ticks: garbage of each tick slowed a fast simulation
     for (let i = 0; i < count; i++) {
       const isFlown = states[i] === NAMES.state.closed_loop && tick + i >= this.startTick + this.takenOffMs;
-      this.tracking.take(AXES.map((_, axis) => Math.abs(angleDeg(axis, i) - goalDeg(axis, i))), isFlown);
+      for (let axis = 0; axis < 3; axis++) errors[axis] = Math.abs(angleDeg(axis, i) - goalDeg(axis, i));
+      this.tracking.take(errors, isFlown);
     }
     const now = tick + count - 1, last = count - 1;
     while (this.ends.length && now >= this.startTick + Math.round(1e3 * (this.ends[0].startS + this.ends[0].durationS))) {
@@ -474,6 +493,21 @@ class PlanFlight {
       yield { until: () => host.state !== state, forS: 0.1 };
     }
     const from = host.tick;
+    this.landed = { elevation: [], pitch: [] };
     yield { until: () => host.tick >= from + AFTER_TICKS || host.engine.restarts !== this.restarts, forS: 2 };
+    const shift = yield* this.shiftAtRest();
+    if (shift) this.outcome = this.outcome === "completed" ? shift : `${this.outcome}; ${shift}`;
+  }
+
+  // The axes whose angles at rest differ from those before the take-off; empty if none does.
+  *shiftAtRest() {
+    const { host } = this, before = host.atRest, cause = nameOf("trigger", host.engine.newest?.[CHANNEL.trigger]);
+    host.atRest = null;
+    let shift = before && LANDED_BY.includes(cause) ? null : "";
+    while (shift === null && host.state === "idle" && host.engine.restarts === this.restarts) {
+      shift = before.shiftAfter(this.landed.elevation, this.landed.pitch);
+      if (shift === null) yield { forS: AFTER_TICKS * 1e-3 };
+    }
+    return shift;
   }
 }

@@ -151,7 +151,7 @@ class Lab {
     if (!file) return;
     try {
       const bytes = await file.arrayBuffer();
-      this.say("");
+      this.say(`Reading ${file.name.slice(0, 60)} …`, false);
       this.tellWorker({ lab: { log: { name: file.name, bytes } } });
     } catch {
       this.say(`${file.name.slice(0, 60)} cannot be read; drop an .mcap file.`);
@@ -163,7 +163,10 @@ class Lab {
     if (error) this.say(error);
     if (flown) this.say(`The plan of the address: ${flown}.`, flown !== "completed");
     if (ready) this.started = { ...window.heliPage.hello?.values };
-    if (replay !== undefined) $("lab-replay").hidden = false;
+    if (replay !== undefined) {
+      $("lab-replay").hidden = false;
+      this.say("");
+    }
     if (ready) $("lab-replay").hidden = true;
     if (paused) {
       const words = paused.includes("hidden") ? "The simulation paused while this page was hidden." : paused.length ? "The simulation is paused." : "";

@@ -91,15 +91,16 @@ export class Tracking {
 
   // Errors of one tick [deg].
   take(errors, isFlown) {
-    errors.forEach((error, i) => {
+    for (let i = 0; i < errors.length; i++) {
+      const error = errors[i];
       if (!isFlown || error <= this.bounds[i] || !this.axes.includes(AXES[i])) {
         this.beyondMs[i] = this.peak[i] = 0;
-        return;
+        continue;
       }
       this.beyondMs[i]++;
       this.peak[i] = Math.max(this.peak[i], error);
       if (this.beyondMs[i] / 1000 > this.longestS[i]) [this.longestS[i], this.worstDeg[i]] = [this.beyondMs[i] / 1000, this.peak[i]];
-    });
+    }
   }
 
   // The end of a step: the board's setpoint must be at its target, or the arm; at the end of the route the arm.

@@ -4,7 +4,8 @@ import { CHANNEL, HeliError } from "./engine.js";
 import { crc32 } from "./frames.js";
 import { unpackZstd } from "./zstd.js";
 
-const MAX_BYTES = 1 << 28, MAX_CHUNK = 1 << 26, BEFORE_TICKS = 60000, SPEED_MAX = 50;
+const MAX_BYTES = 1 << 28, MAX_CHUNK = 1 << 24, BEFORE_TICKS = 60000, SPEED_MAX = 50;
+const MAX_UNPACKED = 1 << 28; // 40 minutes of flight [bytes]; a small file may unpack to more than the memory of a phone
 const MAGIC = "137,77,67,65,80,48,13,10";
 const SIZES = { float32: 4, float64: 8, uint8: 1, int8: 1, uint16: 2, int16: 2, uint32: 4, int32: 4, uint64: 8, int64: 8 };
 const DECODER = new TextDecoder();
@@ -32,6 +33,7 @@ function* records(data, at, isFile) {
   const reader = new Reader(data, at);
   while (reader.data.length - reader.at >= 9) {
     const op = reader.take(1)[0], length = reader.u64();
+    if (op === 0) throw new RangeError("a record has no type");
     if (length > reader.data.length - reader.at) {
       if (isFile) return;
       throw new RangeError("a record reaches beyond its chunk");
@@ -42,39 +44,53 @@ function* records(data, at, isFile) {
 }
 
 export class Replay {
-  static read(name, bytes, facts) {
-    const refuse = (cause, remedy) => { throw new HeliError(`${name.slice(0, 60)} ${cause}`, remedy); };
-    if (bytes.length > MAX_BYTES) refuse("is too large for the page", "replay it with heli-host dashboard --replay");
-    if (String([...bytes.subarray(0, 8)]) !== MAGIC) refuse("is not a log", "drop an .mcap file that heli-host or this page has written");
+  // Reads a file in steps, so that a flight goes on and a stop is heard; the last step returns the replay.
+  static *read(name, bytes, facts) {
+    const replay = new Replay(name, facts);
+    if (bytes.length > MAX_BYTES) replay.refuse("is too large for the page", "replay it with heli-host dashboard --replay");
+    if (String([...bytes.subarray(0, 8)]) !== MAGIC) replay.refuse("is not a log", "drop an .mcap file that heli-host or this page has written");
     try {
-      return new Replay(name, bytes, facts);
+      yield* replay.parse(bytes);
+      return replay;
     } catch (error) {
       if (error instanceof HeliError) throw error;
-      return refuse(`is damaged (${error.message})`, "check it with heli-host info");
+      return replay.refuse(`is damaged (${error.message})`, "check it with heli-host info");
     }
   }
 
-  constructor(name, bytes, facts) {
-    Object.assign(this, { name, facts, schemas: {}, topics: {}, metadata: {}, ticks: [], raw: CHANNELS.map(() => []), events: [], notes: "", position: 0, speed: 1, playing: true, owed: 0 });
+  constructor(name, facts) {
+    Object.assign(this, { name, facts, schemas: {}, topics: {}, metadata: {}, ticks: [], raw: CHANNELS.map(() => []), events: [], notes: "", position: 0, speed: 1, playing: true, owed: 0, unpacked: 0 });
+  }
+
+  refuse(cause, remedy) { throw new HeliError(`${this.name.slice(0, 60)} ${cause}`, remedy); }
+
+  *parse(bytes) {
+    let count = 0;
     for (const [op, reader] of records(bytes, 8, true)) {
-      if (op === 6) this.chunk(reader);
+      if (op === 6) yield* this.chunk(reader);
       else this.record(op, reader);
+      if (++count % 1000 === 0) yield;
     }
-    if (!this.ticks.length) throw new HeliError(`${name.slice(0, 60)} holds no ticks`, "record again");
+    if (!this.ticks.length) this.refuse("holds no ticks", "record again");
     this.raw = this.raw.map((values) => Int32Array.from(values));
     this.actions = { play: (request) => this.play(request), seek: (request) => this.seek(request.t_s) };
   }
 
   get newest() { return this.raw.map((values) => values[Math.max(this.position - 1, 0)]); }
 
-  chunk(reader) {
+  *chunk(reader) {
     reader.take(16);
     const size = reader.u64(), crc = reader.u32(), compression = reader.text(), packed = reader.take(reader.u64());
-    if (size > MAX_CHUNK) throw new RangeError("a chunk is too large");
+    if (size > MAX_CHUNK || (this.unpacked += size) > MAX_UNPACKED) this.refuse("is too large for the page", "replay it with heli-host dashboard --replay");
     if (compression !== "" && compression !== "zstd") throw new RangeError("an unknown compression");
     const body = compression ? unpackZstd(packed, size) : packed;
     if (body.length !== size || (crc && crc32(body) !== crc)) throw new RangeError("a chunk does not match its checksum");
-    for (const [op, record] of records(body, 0, false)) this.record(op, record);
+    let count = 0;
+    yield;
+    for (const [op, record] of records(body, 0, false)) {
+      this.record(op, record);
+      if (++count % 1000 === 0) yield;
+    }
   }
 
   record(op, reader) {
@@ -104,7 +120,7 @@ export class Replay {
     this.ticks.push(Math.round(layout.fields.t_s(view) * 1000));
     CHANNELS.forEach(([name, , , scale], c) => {
       const field = layout.fields[FIELDS[c]];
-      if (!field) throw new HeliError(`the log has no channel ${name}`, "replay it with the heli-host that wrote it");
+      if (!field) this.refuse(`has no channel ${name}`, "replay it with the heli-host that wrote it");
       this.raw[c].push(layout.whole[FIELDS[c]] ? field(view) : Math.round(field(view) / scale));
     });
   }

@@ -1,20 +1,12 @@
 // What the address and the panel choose: rig, board, effect, seed, plan, gains; checked, and made to a world.
+import { Generator } from "./random.js";
+
+const MODULUS = 2 ** 31 - 1, OFFSET_COUNTS = 50000; // of heli_sim.model.plant and heli_sim.sil.world
 
 export class SettingsError extends Error {}
 
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
 const SEED_MAX = 2 ** 32 - 1, SPEED_MAX = 50;
-
-// Numbers from 0 to 1 that follow from a seed (mulberry32).
-function random(seed) {
-  let state = seed >>> 0;
-  return () => {
-    state = (state + 0x6d2b79f5) >>> 0;
-    let t = Math.imul(state ^ (state >>> 15), state | 1);
-    t ^= t + Math.imul(t ^ (t >>> 7), t | 61);
-    return ((t ^ (t >>> 14)) >>> 0) / 4294967296;
-  };
-}
 
 function numberIn(text, name, low, high) {
   const value = Number(text);
@@ -52,7 +44,7 @@ export function readAddress(text, facts, hasFirmware) {
 // effect=rotor_lag,s:0.12
 function readEffect(text, facts, settings) {
   const [id, ...parts] = text.split(",");
-  settings.effect = id && choice(id, "effect", facts.effects.map((effect) => effect.id));
+  settings.effect = text && choice(id, "effect", facts.effects.map((effect) => effect.id));
   const effect = facts.effects.find((known) => known.id === id);
   for (const part of parts) {
     const [name, value = ""] = part.split(":"), parameter = effect?.parameters.find((known) => known.name === `${id}.${name}`);
@@ -72,12 +64,12 @@ export function writeAddress(settings, facts) {
 // What world.js needs for these settings.
 export function worldSetup(facts, settings, elf) {
   const rig = facts.rigs.find(({ name }) => name === settings.rig), effect = facts.puzzle?.hidden ?? facts.effects.find(({ id }) => id === settings.effect);
-  const plant = effect?.plant ?? facts.plants[""], draw = random(settings.seed), named = { ...rig.values };
+  const plant = effect?.plant ?? facts.plants[""], draw = new Generator(settings.seed), named = { ...rig.values };
   for (const parameter of effect?.parameters ?? []) named[parameter.symbol] = settings.values[parameter.name] ?? parameter.typical;
   const state = new Array(plant.states).fill(0), due = settings.board === "due";
   state[0] = (named.elevation_min * Math.PI) / 180;
-  const offset_count = [0, 1, 2].map(() => 1e5 * (draw() - 0.5));
-  if (plant.random_state >= 0) state[plant.random_state] = 1 + Math.floor(draw() * 2147483646);
+  const offset_count = [0, 1, 2].map(() => draw.uniform(-OFFSET_COUNTS, OFFSET_COUNTS));
+  if (plant.random_state >= 0) state[plant.random_state] = 1 + new Generator(settings.seed).integer(MODULUS - 1);
   plant.compiled ??= new WebAssembly.Module(bytes(plant.module));
   return {
     name: rig.name, board: due ? "emulated Due, firmware file of the board" : "native flight code",

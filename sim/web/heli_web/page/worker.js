@@ -6,7 +6,7 @@ import { Replay } from "./replay.js";
 import { SettingsError, worldSetup } from "./settings.js";
 import { WorldFactory } from "./world.js";
 
-const LOOP_MS = 6, BUDGET_MS = 14; // a stop waits for one budget at most
+const LOOP_MS = 6, BUDGET_MS = 14, READ_MS = 10; // a stop waits for one of each at most
 const FRAME_MS = 30, STATUS_MS = 100, PRESENCE_MS = 200;
 const MAX_BEHIND_MS = 100; // more is not caught up: the page was suspended, or the computer is too slow
 const MAX_ROWS = 1 << 16, MAX_UNSHOWN = 8, HUNG_MS = 3000;
@@ -14,7 +14,7 @@ const HEADER = 24, THINNED = 1, RESET = 2;
 const YOU = "page";
 
 let facts = null, factory = null, elf = null, settings = null;
-let host = null, replay = null, ready = false;
+let host = null, replay = null, reading = null, ready = false;
 let pausedBy = new Set(), speed = 1, owed = 0, beforeMs = 0, paceMs = 0, paceTick = 0, pace = 0;
 let rows = [], rowsReset = false, frameNumber = 0, shown = 0, shownMs = 0, frameMs = 0;
 let statusText = "", statusMs = 0, epoch = 0;
@@ -82,7 +82,7 @@ function stop() {
 function open(next) {
   const mine = ++epoch, { setup, name, board, session } = worldSetup(facts, next, elf);
   host?.endRecording("the settings were changed");
-  [ready, replay, settings, speed, pausedBy] = [false, null, next, next.speed, new Set([...pausedBy].filter((who) => who === "hidden"))];
+  [reading, ready, replay, settings, speed, pausedBy] = [null, false, null, next, next.speed, new Set([...pausedBy].filter((who) => who === "hidden"))];
   tell.cleared();
   host = new Host(factory.open(setup), facts, tell, { session });
   host.engine.permitted = () => performance.now() - shownMs < HUNG_MS;
@@ -141,15 +141,29 @@ const LAB = {
     if (cut) host.engine.cut(host.nowS);
   },
   reset: () => host.world.board.reset(),
-  log: ({ name, bytes }) => {
-    const opened = Replay.read(name, new Uint8Array(bytes), facts);
-    host?.endRecording("a log was opened");
-    [replay, host, ready] = [opened, null, true];
-    epoch++;
-    tell.cleared();
-    say({ hello: { you: YOU, ...replay.describe() }, status: present(), ...lease(), lab: { replay: name } });
-  },
+  log: ({ name, bytes }) => { reading = { name, steps: Replay.read(name, new Uint8Array(bytes), facts) }; },
 };
+
+// Reads on in a log that was dropped. Once it is read, it takes the place of the simulation.
+function readLog(nowMs) {
+  try {
+    let step = reading.steps.next();
+    while (!step.done && performance.now() - nowMs < READ_MS) step = reading.steps.next();
+    if (step.done) showReplay(reading.name, step.value);
+  } catch (error) {
+    reading = null;
+    if (!(error instanceof HeliError)) throw error;
+    say({ lab: { error: error.message } });
+  }
+}
+
+function showReplay(name, opened) {
+  host?.endRecording("a log was opened");
+  [replay, host, ready, reading] = [opened, null, true, null];
+  epoch++;
+  tell.cleared();
+  say({ hello: { you: YOU, ...replay.describe() }, status: present(), ...lease(), lab: { replay: name } });
+}
 
 // ---------------------------------------------------------------- time
 
@@ -220,7 +234,8 @@ function sendStatus(nowMs) {
 
 function loop() {
   const nowMs = performance.now();
-  pass(nowMs);
+  if (reading) readLog(nowMs);
+  pass(performance.now());
   sendRows(nowMs);
   sendStatus(nowMs);
 }
