@@ -558,9 +558,9 @@ def test_everything_has_its_place_and_axe_finds_nothing(
             page.wait_for_timeout(200)
             # Findings of axe depend on text and colours, which are the same at every size.
             if size == WIDE or name == behind.tabs[-1] or LONG:
-                found = axe.run(page).response["violations"]
-                assert not found, [
-                    (issue["id"], [node["html"] for node in issue["nodes"]]) for issue in found
+                violations = axe.run(page).response["violations"]
+                assert not violations, [
+                    (issue["id"], [node["html"] for node in issue["nodes"]]) for issue in violations
                 ]
             box = page.locator("#stop").bounding_box()
             assert box is not None

@@ -202,7 +202,7 @@ ELSEWHERE: Final = {
     "fuzz": (".ci/test", ".ci/fuzz"),
     "blind": ("sim/heli_benchmark/tests/test_blind.py", "As `make blind` does"),
     "docs": ("tests/repo/test_site.py", "def test_the_site_builds_without_a_warning"),
-    "web": ("tests/web/conftest.py", "write_page(output, [], None, [])"),
+    "web": ("tests/web/pages.py", "write_page(output, "),
     "firmware": ("tests/firmware/test_tools.py", "def test_platformio_builds_the_same_program"),
 }
 """Targets that a step of `make test` or another test runs, because they take a minute: file and words."""

@@ -8,7 +8,7 @@ import { encodeFrame, FrameParser, NAME_OF_ID, pack, unpack, unpackTelemetry } f
 const HEARTBEAT_S = 0.199, CLOCK_PING_S = 1, SILENCE_S = 1, HELLO_S = 0.1;
 const FIRST_TRY_S = 0.06, LONGEST_TRY_S = 0.5, TIMEOUT_S = 2;
 const SETPOINT_S = 1 / 200, KEEP_ALIVE_S = 0.099;
-const HELD_BATCHES = 500;
+const HELD_BATCHES = 500, NOTHING = new Uint8Array(0);
 export const CHANNEL = Object.fromEntries(CHANNELS.map(([name], index) => [name, index]));
 const KIND_OF = Object.fromEntries(Object.entries(NAMES).map(([kind, names]) => [kind, Object.fromEntries(Object.entries(names).map(([name, value]) => [value, name]))]));
 
@@ -20,6 +20,11 @@ export class HeliError extends Error {
     super(`${cause}; ${remedy}`);
     Object.assign(this, { cause, remedy });
   }
+}
+
+function joined(frames) {
+  if (frames.length < 2) return frames[0] ?? NOTHING;
+  return Uint8Array.from(frames.flatMap((frame) => [...frame]));
 }
 
 class Request {
@@ -103,7 +108,7 @@ export class Engine {
     const send = (name, fields) => {
       this.sentS = nowS;
       this.seq = (this.seq + 1) & 255;
-      out.push(...encodeFrame(MESSAGES[name].id, this.seq, pack(name, fields)));
+      out.push(encodeFrame(MESSAGES[name].id, this.seq, pack(name, fields)));
     };
     if (request && !request.done && nowS >= request.deadlineS) request.error = new HeliError(`the board did not answer ${request.name}`, "check the link, then try again");
     if (!this.isOpen) {
@@ -111,7 +116,7 @@ export class Engine {
         this.nextHelloS = nowS + HELLO_S;
         send("hello", { request: this.helloRequest, link_hash: LINK.hash, session: this.session });
       }
-      return Uint8Array.from(out);
+      return joined(out);
     }
     const waits = request && !request.done;
     if (waits && nowS >= request.nextTryS) {
@@ -134,7 +139,7 @@ export class Engine {
       this.pingS = nowS;
       send("ping", { request: this.take(), host_us: Math.round(nowS * 1e6) });
     }
-    return Uint8Array.from(out);
+    return joined(out);
   }
 
   // The line was interrupted, or the port was opened again.

@@ -26,17 +26,18 @@ export function crc32(bytes, crc = 0) {
   return ~crc >>> 0;
 }
 
+// COBS, with the zero that ends a frame.
 function cobsEncode(bytes) {
-  const out = [0];
-  let code = 0;
-  const close = () => { out[code] = out.length - code; code = out.length; out.push(0); };
-  bytes.forEach((byte, index) => {
-    if (byte === 0) return close();
-    out.push(byte);
-    if (out.length - code === 255 && index < bytes.length - 1) close();
-  });
-  out[code] = out.length - code;
-  return out;
+  const out = new Uint8Array(bytes.length + Math.floor(bytes.length / 254) + 2);
+  let code = 0, size = 1;
+  for (let i = 0; i < bytes.length; i++) {
+    if (bytes[i] !== 0) out[size++] = bytes[i];
+    if (bytes[i] !== 0 && (size - code < 255 || i === bytes.length - 1)) continue;
+    out[code] = size - code;
+    code = size++;
+  }
+  out[code] = size - code;
+  return out.subarray(0, size + 1);
 }
 
 // Returns null for bytes that are no COBS.
@@ -53,9 +54,12 @@ function cobsDecode(encoded) {
 }
 
 const SIZES = { B: 1, H: 2, h: 2, I: 4, i: 4, f: 4, Q: 8 };
+const READERS = { B: "getUint8", H: "getUint16", h: "getInt16", I: "getUint32", i: "getInt32", f: "getFloat32" };
 const WRITERS = { B: "setUint8", H: "setUint16", h: "setInt16", I: "setUint32", i: "setInt32", f: "setFloat32" };
 
-export function sizeOf(name) { return MESSAGES[name].fields.reduce((sum, [, code]) => sum + SIZES[code], 0); }
+const MESSAGE_SIZES = Object.fromEntries(Object.entries(MESSAGES).map(([name, { fields }]) => [name, fields.reduce((sum, [, code]) => sum + SIZES[code], 0)]));
+
+export function sizeOf(name) { return MESSAGE_SIZES[name]; }
 
 export function pack(name, values) {
   const view = new DataView(new ArrayBuffer(sizeOf(name)));
@@ -74,7 +78,7 @@ export function unpack(name, payload) {
   const view = new DataView(payload.buffer, payload.byteOffset, payload.length), values = {};
   let at = 0;
   for (const [field, code] of MESSAGES[name].fields) {
-    values[field] = code === "Q" ? Number(view.getBigUint64(at, true)) : view[WRITERS[code].replace("set", "get")](at, true);
+    values[field] = code === "Q" ? Number(view.getBigUint64(at, true)) : view[READERS[code]](at, true);
     at += SIZES[code];
   }
   return values;
@@ -87,7 +91,7 @@ export function encodeFrame(id, seq, payload) {
   content.set([LINK.protocol, id, seq]);
   content.set(payload, 3);
   new DataView(content.buffer).setUint32(3 + payload.length, crc32(content.subarray(0, -4)), true);
-  return Uint8Array.from([...cobsEncode(content), 0]);
+  return cobsEncode(content);
 }
 
 // Splits a stream of any bytes into frames that pass every check.

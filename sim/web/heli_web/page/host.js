@@ -388,9 +388,9 @@ class PlanFlight {
     host.atRest?.hover.take(tick + count - 1, IN_THE_AIR.includes(nameOf("state", raw[CHANNEL.state][count - 1])), () => host.batchDeg("pitch", raw));
     if (this.landed) for (const axis of ["elevation", "pitch"]) this.landed[axis].push(...host.batchDeg(axis, raw));
     if (!this.streaming) return;
-    const rad = AXES.map((axis) => host.radPerCount(axis));
     const counts = AXES.map((axis) => raw[CHANNEL[`${axis}_count`]]), goals = AXES.map((axis) => raw[CHANNEL[`${axis}_setpoint`]]), states = raw[CHANNEL.state];
-    const angleDeg = (axis, i) => counts[axis][i] * rad[axis] * DEG, goalDeg = (axis, i) => goals[axis][i] * CHANNELS[CHANNEL[`${AXES[axis]}_setpoint`]][3] * DEG;
+    const angleScale = AXES.map((axis) => host.radPerCount(axis) * DEG), goalScale = AXES.map((axis) => CHANNELS[CHANNEL[`${axis}_setpoint`]][3] * DEG);
+    const angleDeg = (axis, i) => counts[axis][i] * angleScale[axis], goalDeg = (axis, i) => goals[axis][i] * goalScale[axis];
     const errors = [0, 0, 0]; // one array for all ticks: garbage of each tick slowed a fast simulation
     for (let i = 0; i < count; i++) {
       const isFlown = states[i] === NAMES.state.closed_loop && tick + i >= this.startTick + this.takenOffMs;

@@ -125,7 +125,7 @@ class Lab {
         this.tellWorker({ lab: { effect: { [name]: chosen } } });
         this.writeAddress();
       });
-      return element("div", { className: "lab-slider" }, element("label", { htmlFor: id, title: meaning }, short), slider, output, element("span", { className: "hint" }, meaning));
+      return element("div", { className: "lab-slider" }, element("label", { htmlFor: id, title: name }, meaning), slider, output);
     }));
   }
 
