@@ -6,6 +6,7 @@ three files of LLVM's libc++abi and libunwind that implement them are in the pac
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import subprocess
 import sys
@@ -110,7 +111,7 @@ def is_checkout() -> bool:
 
 
 def built_board(progress: Callable[[str], object]) -> Path:
-    """Return the WebAssembly module of this checkout, compiled if it is older than its sources."""
+    """Return the WebAssembly module of this checkout, compiled if its sources have changed."""
     if not is_checkout():
         raise SimError(
             "this package has no WebAssembly module", "build the page in a checkout of the sources: make web"
@@ -132,16 +133,26 @@ def _wait_for(lock: TextIO) -> None:
 
 
 def _compiled_once(output: Path, progress: Callable[[str], object]) -> Path:
-    """Return the module, compiled if it is older than its sources."""
-    headers = [path for folder in _INCLUDES for path in (_ROOT / folder).rglob("*.hpp")]
-    newest_s = max(path.stat().st_mtime for path in (*sources(), *headers, Path(__file__)))
-    if output.exists() and output.stat().st_mtime >= newest_s:
+    """Return the module, compiled if its sources have changed."""
+    # By content: a checkout of another branch and back changes times, and a compilation takes two minutes.
+    stamp, digest = output.with_suffix(".sha256"), _digest()
+    if output.exists() and stamp.exists() and stamp.read_text() == digest:
         return output
     if importlib.util.find_spec("ziglang") is None:
         raise SimError("the compiler for WebAssembly is missing", "pip install ziglang")
     progress("compiling flight code and emulated Due to WebAssembly; the first time takes two minutes")
     compile_board(output)
+    stamp.write_text(digest)
     return output
+
+
+def _digest() -> str:
+    """Return a checksum of all that the module is compiled from, and of this file, which states how."""
+    headers = [path for folder in _INCLUDES for path in (_ROOT / folder).rglob("*.hpp")]
+    content = hashlib.sha256()
+    for path in sorted({*sources(), *headers, Path(__file__).resolve()}):
+        content.update(f"{path.relative_to(_ROOT)}\0".encode() + path.read_bytes())
+    return content.hexdigest()
 
 
 if __name__ == "__main__":
