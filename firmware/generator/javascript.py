@@ -15,7 +15,8 @@ def generate_javascript(d: Table) -> str:
         for name, entries in d["enums"].items()
     }
     names["fault"] = {"none": 0} | {fault["name"]: fault["code"] for fault in d["fault"]}
-    names["axes"] = {name: 1 << entry["bit"] for name, entry in rows(d["bits"]["axes"])}
+    for bits in ("axes", "flags"):
+        names[bits] = {name: 1 << entry["bit"] for name, entry in rows(d["bits"][bits])}
     constants = {
         "LINK": {key: link[key] for key in ("version", "firmware", "protocol", "tick_us")}
         | {"hash": link_hash(d), "params_hash": params_hash(d)}

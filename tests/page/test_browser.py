@@ -47,6 +47,7 @@ from tests.page.browser import (
 from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board, patient_page, steady, tired
 from tests.running.long import LONG, samples
 from tests.running.order import REAL_TIME
+from tests.web.pages import write_whole_page
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
 
@@ -448,12 +449,23 @@ def test_a_page_that_hangs_is_there_for_a_moment_and_then_no_more(
     assert not any(late[0] < sign_s < late[1] for sign_s in signs_s)
 
 
-def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
-    tmp_path: Path, chromium: Browser
-) -> None:
+@contextlib.contextmanager
+def page_with_laws(kind: str, folder: Path) -> Iterator[str]:
+    """Offer two laws on a page; yields its address."""
     laws = [steady().program, tired().program]
-    with patient_page(tmp_path, laws) as served, tabs(chromium) as opened:
-        page = opened.open(served.address.page)
+    if kind == "server":
+        with patient_page(folder, laws) as served:
+            yield served.address.page
+    else:
+        yield write_whole_page(folder, laws).as_uri()
+
+
+@pytest.mark.parametrize("kind", ["server", "file"])
+def test_a_law_is_chosen_its_signal_drawn_and_why_it_was_taken_over_said(
+    kind: str, tmp_path: Path, chromium: Browser
+) -> None:
+    with page_with_laws(kind, tmp_path) as address, tabs(chromium) as opened:
+        page = opened.open(address)
         click(page, "#laws >> text=steady")
         expect(page.locator("#law-message")).to_have_text("steady is loaded, and flies after take-off")
         click(page, "#laws >> text=tired")

@@ -1,11 +1,11 @@
-// Flies plans with the small host, without a browser. Standard input: {board, facts, settings, plans, log}; the log is
+// Flies plans with the small host, without a browser. Standard input: {board, facts, settings, plans, law, log}; the log is
 // written to a file, and the outcome to standard output.
 import { readFileSync, writeFileSync } from "node:fs";
 import { Host } from "../../sim/web/heli_web/page/host.js";
 import { defaultSettings, worldSetup } from "../../sim/web/heli_web/page/settings.js";
 import { WorldFactory } from "../../sim/web/heli_web/page/world.js";
 
-const { board, facts, settings, plans, log, seconds = 0, elf = null } = JSON.parse(readFileSync(0, "utf8"));
+const { board, facts, settings, plans, law = "", log, seconds = 0, elf = null } = JSON.parse(readFileSync(0, "utf8"));
 const chosen = { ...defaultSettings(facts), ...settings };
 const firmware = elf?.map(({ address, content }) => ({ address, bytes: Uint8Array.from(Buffer.from(content, "base64")) })) ?? null;
 const { setup, session } = worldSetup(facts, chosen, firmware);
@@ -15,6 +15,7 @@ const tell = { words: () => {}, rows: () => {}, cleared: () => {}, log: (_, byte
 const host = new Host(world, facts, tell, { session });
 host.start(host.connect(), (result) => { outcome = result.error ? result : null; });
 while (!outcome && !Object.keys(host.params).length) host.step(20);
+host.start(host.laws.choose(law), (result) => { outcome = result.error ? result : null; });
 host.step(1000);
 if (plans) host.start(host.fly(plans), (result) => { outcome = result; });
 const begin = performance.now();

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from heli_host.board.law_program import LawProgram
 from heli_host.fly.plan import plan_names
 from heli_web.build import write_page
 from heli_web.compiler import built_board
@@ -20,10 +22,10 @@ def board_module() -> Path:
     return built_board(print)
 
 
-def write_whole_page(folder: Path) -> Path:
+def write_whole_page(folder: Path, laws: Sequence[LawProgram] = ()) -> Path:
     """Write the page into a folder."""
     board_module()
     short, output = folder / "short.toml", folder / "heli-lab.html"
     short.write_text(SHORT_PLAN)
-    write_page(output, [str(short), *plan_names()], None, [])
+    write_page(output, [str(short), *plan_names()], None, [], laws=laws)
     return output

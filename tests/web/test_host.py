@@ -10,19 +10,22 @@ import heli_host
 import numpy as np
 import pytest
 from heli_host.board.heli import Heli
+from heli_host.board.law_flight import engage
 from heli_host.board.rest_check import HoverTilt, RestAngles
 from heli_host.board.samples import Samples
 from heli_host.data.log.reader import read_log
 from heli_host.errors import HeliError
 from heli_host.fly.plan import load_plan
+from heli_host.fly.runner import fly
 from heli_host.link.session import Session
 from heli_sim.rig import load_rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import parse_url
 from heli_sim.sil.world import SilWorld
-from heli_web.facts import page_facts
+from heli_web.facts import law_facts, page_facts
 from numpy.typing import NDArray
 
+from tests.page.page_server import tired
 from tests.web.recording import RecordedEngine, run_script
 
 pytestmark = pytest.mark.slow
@@ -71,10 +74,12 @@ def test_small_host_sends_the_frames_of_heli_host(node: str, tmp_path: Path, lin
     assert answer["events"] == events
 
 
-def flown(node: str, board: Path, facts: dict[str, Any], log: Path, **settings: Any) -> dict[str, Any]:
+def flown(
+    node: str, board: Path, facts: dict[str, Any], log: Path, law: str = "", **settings: Any
+) -> dict[str, Any]:
     """Fly the plan step with the small host into a log."""
     given = {"board": str(board), "facts": facts, "settings": settings, "plans": ["step"], "log": str(log)}
-    answer: dict[str, Any] = run_script(node, "fly.mjs", given)
+    answer: dict[str, Any] = run_script(node, "fly.mjs", given | {"law": law})
     return answer
 
 
@@ -97,6 +102,22 @@ def test_heli_host_reads_a_log_of_the_small_host(
         "landing",
     ]
     assert float(log.metadata["parameters"]["travel_kp"]) == log.parameters["travel_kp"]
+
+
+def test_a_law_that_fails_is_taken_over_and_its_signals_are_named(
+    board: Path, node: str, facts: dict[str, Any], tmp_path: Path
+) -> None:
+    program = tired().program
+    offered = facts | {"laws": law_facts([program])}
+    answer = flown(node, board, offered, tmp_path / "page.mcap", law="tired")
+    with heli_host.connect("sil://?board=native") as heli:
+        expected = fly(
+            heli, "step", log_path=tmp_path / "host.mcap", on_taken_off=lambda: engage(heli, program)
+        )
+    page, host = read_log(tmp_path / "page.mcap"), read_log(tmp_path / "host.mcap")
+    assert answer["outcome"] == page.metadata["result"]["outcome"] == expected.outcome
+    assert answer["outcome"].startswith("law_taken_over: voltage_jump")
+    assert page.law_signals == host.law_signals == {"signal_1": "wanted_pitch", "signal_2": "kp"}
 
 
 def test_a_flight_of_the_small_host_is_the_flight_of_heli_host(

@@ -13,6 +13,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, Final
 
+from heli_host.board.law_program import LawProgram
 from heli_sim.errors import OptionError
 from heli_sim.rig import load_rig
 
@@ -27,8 +28,8 @@ _POLICY: Final = (
     "style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
 )
 _WORKER: Final = (
-    *("declaration", "frames", "engine", "vendor/fzstd", "zstd", "replay", "log", "plans", "world"),
-    *("rest", "random", "settings", "host", "worker"),
+    *("declaration", "frames", "engine", "laws", "vendor/fzstd", "zstd", "replay", "log", "plans"),
+    *("world", "rest", "random", "settings", "host", "worker"),
 )
 """Modules of the worker, each behind those that it imports."""
 _DASHBOARD_MODULES: Final = (
@@ -131,6 +132,7 @@ def write_page(
     effect_texts: Sequence[str],
     *,
     puzzle: bool = False,
+    laws: Sequence[LawProgram] = (),
     progress: Callable[[str], object] = lambda _: None,
 ) -> list[str]:
     """Write a page, and the truth file of a puzzle; return the lines about them for the user."""
@@ -157,7 +159,7 @@ def write_page(
         segments = read_firmware(firmware).segments
     except HeliError as error:
         lines.append(f"without the emulated Due: {error}")
-    facts = page_facts(plans, {plan.name: tomllib.loads(plan.text) for plan in plans}, loaded)
+    facts = page_facts(plans, {plan.name: tomllib.loads(plan.text) for plan in plans}, loaded, laws)
     if puzzle:
         truth = Truth.seal(
             {"rig": loaded[0].name, "effects": list(effect_texts), "plans": [plan.name for plan in plans]}

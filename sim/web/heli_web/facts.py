@@ -6,6 +6,7 @@ import base64
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from heli_host.board.law_program import LawProgram
 from heli_host.data.files import LOG_WRITER
 from heli_host.data.log import schema
 from heli_host.declaration import CHANNELS, FAULTS, LINK_VERSION, PARAMS
@@ -159,10 +160,29 @@ def combined_facts(effects: tuple[Effect, ...], rig: Rig) -> dict[str, Any]:
     }
 
 
+def law_facts(laws: Sequence[LawProgram]) -> list[dict[str, Any]]:
+    """Return what the page uploads of each control law."""
+    return [
+        {
+            "name": law.name,
+            "hash": law.hash,
+            "words": list(law.words),
+            "parameters": dict(law.parameters),
+            "signals": list(law.signal_names),
+        }
+        for law in laws
+    ]
+
+
 def page_facts(
-    plans: Sequence[Plan], tables: Mapping[str, Mapping[str, Any]], rigs: Sequence[Rig]
+    plans: Sequence[Plan],
+    tables: Mapping[str, Mapping[str, Any]],
+    rigs: Sequence[Rig],
+    laws: Sequence[LawProgram] = (),
 ) -> dict[str, Any]:
-    """Return all facts of a page with these plans and rigs; `tables` are the plans' parsed TOML tables."""
+    """Return all facts of a page with these plans, rigs and control laws; `tables` are the plans' parsed TOML
+    tables.
+    """
     values = {spec.name: spec.default for spec in PARAMS}
     effects = [facts for kind in catalogue().values() if (facts := effect_facts(kind)) is not None]
     return {
@@ -175,7 +195,9 @@ def page_facts(
             "states": state_rows(),
             "parameters": parameter_rows(),
             "plans": [{"name": plan.name, "title": plan.title} for plan in plans],
-            "laws": [],
+            "laws": [
+                {"name": law.name, "rate_Hz": law.rate_Hz, "signals": list(law.signal_names)} for law in laws
+            ],
         },
         "faults": {
             spec.code: {
@@ -191,6 +213,7 @@ def page_facts(
             {"name": plan.name, "title": plan.title, "text": plan.text, "table": tables[plan.name]}
             for plan in plans
         ],
+        "laws": law_facts(laws),
         "rigs": [rig_facts(rig) for rig in rigs],
         "plants": {"": plant_facts(MultibodyModel())},
         "effects": effects,

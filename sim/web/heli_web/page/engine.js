@@ -271,6 +271,8 @@ function eventText({ kind, detail, cause, value }) {
     excitation_end: () => `excitation ${nameOf("excitation", detail)} ended`,
     setpoint_rejected: () => `a streamed value was refused: ${nameOf("result", detail)}`,
     zeroed: () => `zero taken: ${Object.keys(NAMES.axes).filter((axis) => NAMES.axes[axis] & detail).join(", ")}`,
+    law_engaged: () => `the law of the link flies, a call each ${value.toFixed(0)} ticks`,
+    law_taken_over: () => `the board's own law took over (${nameOf("takeover", detail)}; ${+value.toPrecision(4)})`,
     travel_probe: () => `tilt to check the travel encoder: ${nameOf("probe", detail)}; tilt ${value.toFixed(1)} degrees`,
   }[nameOf("event", kind)];
   return words ? words() : `event ${nameOf("event", kind)} (detail ${detail}, value ${+value.toPrecision(4)})`;

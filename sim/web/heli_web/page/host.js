@@ -3,6 +3,7 @@
 import { CHANNELS, LINK, NAMES, SETPOINT_MARGIN_DEG } from "./declaration.js";
 import { CHANNEL, Engine, FAULTS, faultText, HeliError, nameOf, stateText } from "./engine.js";
 import { crc32 } from "./frames.js";
+import { Laws, takeover } from "./laws.js";
 import { LogWriter } from "./log.js";
 import { RestAngles } from "./rest.js";
 import { closedAxes, takeOffRoute, Tracking } from "./plans.js";
@@ -27,6 +28,7 @@ export class Host {
     Object.assign(this, { world, facts, tell, setup, engine: new Engine(), tasks: [], params: {}, undo: [], marks: 0, stops: 0 });
     Object.assign(this, { events: [], doing: "", flight: null, target: null, recorder: null, cause: "", pull: false, arrivedTick: 0, recent: [], atRest: null });
     Object.assign(FAULTS, facts.faults);
+    Object.assign(this, { laws: new Laws(this, facts.laws ?? []), signals: {} });
   }
 
   get nowS() { return this.world.tick * 1e-3; }
@@ -64,6 +66,7 @@ export class Host {
       this.tell.cleared();
       this.start(this.readParameters());
     }
+    this.laws.take({ kind, message });
     if (kind === "state") this.cause = nameOf("trigger", message.cause).replaceAll("_", " ");
     this.recorder?.log.writeEvent(tick, kind, text, URGENT[kind] ?? 2);
     this.flight?.event?.({ kind, text, message });
@@ -153,8 +156,16 @@ export class Host {
   channels() {
     return this.facts.hello.channels.map((row) => {
       const axis = AXES.find((name) => row.name === `${name}_rad`);
-      return axis ? { ...row, scale: this.radPerCount(axis) } : row;
+      return { ...row, scale: axis ? this.radPerCount(axis) : row.scale, signal: this.signals[row.name] ?? "" };
     });
+  }
+
+  // Names the channels that hold the signals of a law, also in the log.
+  nameSignals({ name, hash, signals }) {
+    this.signals = Object.fromEntries(signals.map((signal, i) => [`signal_${i + 1}`, signal]));
+    this.announce("law_signals", `law ${name} (${hash.toString(16).padStart(8, "0")}); its signals: ${signals.join(", ") || "none"}`);
+    if (this.recorder) this.recorder.law = { ...this.signals, law: name };
+    this.tell.words({ channels: this.channels() });
   }
 
   limitsDeg() {
@@ -249,6 +260,7 @@ export class Host {
       };
       if (!(yield { until: isThere, forS: limitS })) throw new HeliError("the elevation was not reached in time", "land, then check gains and rig");
       if (this.state === "fault") throw new HeliError(`the board switched the motors off: ${faultText(this.engine.newest[CHANNEL.fault])}`, "clear the fault");
+      if (this.state === "closed_loop") yield* this.laws.engage();
     } finally {
       this.doing = "";
     }
@@ -333,12 +345,13 @@ export class Host {
 
   endRecording(outcome = "recorded") {
     if (!this.recorder) return;
-    const { log, name, parameters } = this.recorder, counters = this.engine.counters();
+    const { log, name, parameters, law } = this.recorder, counters = this.engine.counters();
     const changed = Object.fromEntries(Object.entries(this.params).filter(([key, value]) => parameters[key] !== value).map(([key, value]) => [key, String(value)]));
     const file = log.close({
       counters: Object.fromEntries(Object.entries(counters).map(([key, value]) => [key, String(value)])),
       result: { outcome, ticks_logged: String(log.ticks), ticks_lost: String(log.lost), ticks_dropped: "0", events_logged: String(log.events) },
       ...(Object.keys(changed).length ? { parameters_changed: changed } : {}),
+      ...(law ? { law } : {}),
     });
     this.recorder = null;
     this.tell.log(name, file, log.ticks);
@@ -356,7 +369,7 @@ export class Host {
     return {
       state: newest ? newest[CHANNEL.state] : -1, fault: newest ? newest[CHANNEL.fault] : 0, cause: this.cause, connected: this.engine.isOpen,
       link: { frames: counters.frames_ok, bad: counters.frames_bad, lost_ticks: counters.ticks_lost, ticks: counters.ticks_received, retries: counters.retries, reconnects: counters.reconnects, latency_ms: +(1e3 * this.engine.roundTripS).toFixed(1), jitter_ms: null },
-      recording: this.recorder?.name ?? null, trouble: "", doing: this.doing, flight: this.flight?.progress ?? null, twin: null, law: null,
+      recording: this.recorder?.name ?? null, trouble: "", doing: this.doing, flight: this.flight?.progress ?? null, twin: null, law: this.laws.status(),
     };
   }
 }
@@ -364,7 +377,7 @@ export class Host {
 // One flight of plans: every way in which it ends leads to a landing. See heli_host.fly.pilot.
 class PlanFlight {
   constructor(host, plans, route) {
-    Object.assign(this, { host, plans, route, outcome: "not flown", streaming: false, startTick: 0, sentTick: 0, endedBy: "", fault: "", hears: false, wasClosed: false });
+    Object.assign(this, { host, plans, route, outcome: "not flown", streaming: false, startTick: 0, sentTick: 0, endedBy: "", fault: "", hears: false, wasClosed: false, handedOver: false, takeover: "" });
     this.axes = closedAxes(plans);
     this.tracking = new Tracking(plans, this.axes);
     this.progress = { phase: "take-off", t_s: 0, left_s: +route.durationS.toFixed(1) };
@@ -377,6 +390,9 @@ class PlanFlight {
   get tS() { return (this.host.tick - this.startTick) * 1e-3; }
 
   event({ kind, text, message }) {
+    const end = takeover({ kind, message });
+    if (end && !this.takeover) this.takeover = `law_taken_over: ${end[0]} (${end[1]}), ${((message.tick - this.engagedTick) * 1e-3).toFixed(1)} s after the uploaded law began; the board's own law flew the rest`;
+    if (kind === "law_engaged") this.engagedTick = message.tick;
     if (kind === "fault" && this.hears && !this.fault) this.fault = `fault ${faultText(message.detail)}`;
     if (kind !== "state" || !this.hears || this.endedBy || message.cause === NAMES.trigger.touchdown) return;
     this.endedBy = FLYING.includes(nameOf("state", message.detail)) ? "" : text;
@@ -449,6 +465,10 @@ class PlanFlight {
       const endTick = this.startTick + Math.round(1e3 * this.route.durationS);
       while (host.tick < endTick) {
         yield* this.check();
+        if (!this.handedOver && host.tick >= this.startTick + this.takenOffMs) {
+          this.handedOver = true;
+          yield* host.laws.engage();
+        }
         yield* this.exciteIfDue(stops);
         const piece = this.route.pieceAt(this.tS);
         this.progress = { phase: piece?.phase ?? "landing", t_s: +this.tS.toFixed(1), left_s: +Math.max(this.route.durationS - this.tS, 0).toFixed(1) };
@@ -456,7 +476,7 @@ class PlanFlight {
         yield { until: () => host.tick >= Math.min(endTick, next) || this.mustEnd(), forS: 0.05 };
       }
       yield* this.check();
-      this.outcome = this.tracking.verdict() || "completed";
+      this.outcome = this.takeover || this.tracking.verdict() || "completed";
     } catch (error) {
       if (!(error instanceof HeliError)) throw error;
       this.outcome = `aborted: ${error.cause}${error.remedy ? `; ${error.remedy}` : ""}`;

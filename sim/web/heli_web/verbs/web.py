@@ -23,6 +23,15 @@ def web(
     ] = Path("heli-lab.html"),
     rig: RigOption = None,
     effect: EffectOption = None,
+    laws: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--law",
+            metavar="FILE.py",
+            help="Offer this control law too, and run its code. Repeatable.",
+            show_default=False,
+        ),
+    ] = None,
     puzzle: Annotated[
         bool,
         typer.Option("--puzzle", help="Hide the effects, and write them with a seal to FILE.truth.json."),
@@ -36,9 +45,14 @@ def web(
 
     Example: `heli-host web --puzzle --effect cable_spring.travel=0.06 --output puzzle.html`
     """
+    from heli_host.board.law_program import read_law
+
     from heli_web.build import write_page
 
-    lines = write_page(output, plans or [], rig, effect or [], puzzle=puzzle, progress=say_progress)
+    programs = [read_law(path, rig) for path in laws or ()]
+    lines = write_page(
+        output, plans or [], rig, effect or [], puzzle=puzzle, laws=programs, progress=say_progress
+    )
     for line in lines:
         say(line)
 
