@@ -75,8 +75,22 @@ def start_s(browser: Browser, page: Path) -> float:
         return float(tab.evaluate("readyMs")) * 1e-3
 
 
-def speed(browser: Browser, page: Path, address: str, plan: str = "") -> float:
-    """Simulated seconds per second of a hover, or of a plan that is recorded, with the speed not limited."""
+def renderers(browser: Browser) -> list[dict[str, Any]]:
+    """The processes that show pages."""
+    every = browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
+    return [process for process in every if process["type"] == "renderer"]
+
+
+def busy_s(browser: Browser) -> float:
+    """Processor time of all processes that show pages [s]."""
+    return sum(float(process["cpuTime"]) for process in renderers(browser))
+
+
+def speed(browser: Browser, page: Path, address: str, plan: str = "") -> tuple[float, float]:
+    """Fly a hover, or a plan that is recorded, as fast as possible.
+
+    Returns simulated seconds per second, and per second of the page's own processor time.
+    """
     with opened(browser, page, address) as tab:
         if plan:
             tell(tab, {"text": json.dumps({"do": "fly", "id": "bench", "plans": [plan] * 20})})
@@ -84,11 +98,17 @@ def speed(browser: Browser, page: Path, address: str, plan: str = "") -> float:
             take_off(tab)
         tell(tab, {"lab": {"speed": 1e4}})
         tab.wait_for_timeout(1000)
-        before, from_s = tab.evaluate("heliPage.history.latestTick"), time.monotonic()
+        before, from_s, from_busy_s = (
+            tab.evaluate("heliPage.history.latestTick"),
+            time.monotonic(),
+            busy_s(browser),
+        )
         tab.wait_for_timeout(WATCHED_S * 1e3)
-        passed = tab.evaluate("heliPage.history.latestTick") - before
+        flown_s = float(tab.evaluate("heliPage.history.latestTick") - before) * 1e-3
+        spent_s = busy_s(browser) - from_busy_s
+        passed_s = time.monotonic() - from_s
         assert tab.evaluate("heliPage.status.state") == 2, "the flight ended early"
-        return float(passed) * 1e-3 / (time.monotonic() - from_s)
+        return flown_s / passed_s, flown_s / spent_s
 
 
 def stop_ms(browser: Browser, page: Path, board: str) -> list[float]:
@@ -103,8 +123,7 @@ def stop_ms(browser: Browser, page: Path, board: str) -> list[float]:
 
 def memory_MB(browser: Browser) -> float:
     """Resident memory of all processes that show pages [MB]; Linux only."""
-    processes = browser.new_browser_cdp_session().send("SystemInfo.getProcessInfo")["processInfo"]
-    pages = [Path(f"/proc/{process['id']}/statm") for process in processes if process["type"] == "renderer"]
+    pages = [Path(f"/proc/{process['id']}/statm") for process in renderers(browser)]
     return sum(int(path.read_text().split()[1]) for path in pages) * os.sysconf("SC_PAGE_SIZE") * 1e-6
 
 
@@ -131,9 +150,14 @@ def measure_web(say: Callable[[str], None]) -> list[Measured]:
     with TemporaryDirectory() as folder, chromium() as browser:
         page = write_whole_page(Path(folder))
         measured.append(Measured("web_start_s", [start_s(browser, page) for _ in range(OPENINGS)]))
-        measured.append(Measured("web_native_x_realtime", [speed(browser, page, "")]))
-        measured.append(Measured("web_native_recorded_x_realtime", [speed(browser, page, "", "sine")]))
-        measured.append(Measured("web_due_x_realtime", [speed(browser, page, "board=due")]))
+        for name, address, plan in (
+            ("native", "", ""),
+            ("native_recorded", "", "sine"),
+            ("due", "board=due", ""),
+        ):
+            times_realtime, times_cpu = speed(browser, page, address, plan)
+            measured.append(Measured(f"web_{name}_x_realtime", [times_realtime]))
+            measured.append(Measured(f"web_{name}_x_cpu", [times_cpu]))
         for board in ("native", "due"):
             times = stop_ms(browser, page, board)
             measured.append(Measured(f"web_stop_p99_{board}_ms", [float(np.percentile(times, 99))]))

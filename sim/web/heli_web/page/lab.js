@@ -57,7 +57,7 @@ class Lab {
     } catch (error) {
       if (!(error instanceof SettingsError)) throw error;
       this.settings = defaultSettings(this.facts);
-      this.say(`${error.message}. The usual settings are used.`);
+      this.say(`${error.message[0].toUpperCase()}${error.message.slice(1)}. The usual settings are used.`);
     }
     this.show();
     if (opens) this.open(this.settings);
