@@ -48,19 +48,18 @@ def test_every_page_is_in_one_of_the_five_folders() -> None:
 def test_the_site_builds_without_a_warning_and_its_search_finds_answers(tmp_path: Path) -> None:
     # The reference of the Python API is most of the work.
     less = [] if LONG else ["--tag", "without_api"]
-    flies = tmp_path / "page" / "heli-lab.html"
-    flies.parent.mkdir()
+    site, flies = tmp_path / "site", tmp_path / "heli-lab.html"
     flies.write_text("<title>heli-lab</title>")
     options = ["--quiet", "--fail-on-warning", "--keep-going", *less, f"-Dhtml_extra_path={flies}"]
-    command = [sys.executable, "-m", "sphinx", *options, "--builder", "html", str(DOCS), str(tmp_path)]
+    command = [sys.executable, "-m", "sphinx", *options, "--builder", "html", str(DOCS), str(site)]
     built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
-    assert 'href="heli-lab.html">' in (tmp_path / "index.html").read_text()
-    assert (tmp_path / "heli-lab.html").read_text() == flies.read_text()
-    missed = [answer for answer in answers(tmp_path) if not answer.is_found]
+    assert 'href="heli-lab.html">' in (site / "index.html").read_text()
+    assert (site / "heli-lab.html").read_text() == flies.read_text()
+    missed = [answer for answer in answers(site) if not answer.is_found]
     assert not missed, "the search does not find the answers"
-    assert "<math" in (tmp_path / "reference/effects.html").read_text()
-    assert 'class="gp">$ ' in (tmp_path / "how-to/flying.html").read_text()
+    assert "<math" in (site / "reference/effects.html").read_text()
+    assert 'class="gp">$ ' in (site / "how-to/flying.html").read_text()
 
 
 @pytest.mark.documents
