@@ -75,6 +75,16 @@ ToOption = Annotated[
 GapsOption = Annotated[
     bool, typer.Option("--allow-gaps", help="Skip missing rows instead of refusing the flight.")
 ]
+LoopRateOption = Annotated[
+    float | None,
+    typer.Option(
+        "--loop-rate",
+        metavar="HZ",
+        min=1.0,
+        help="State the rate of the control loop in Hz.  [default: estimated from the flights]",
+        show_default=False,
+    ),
+]
 SkipSignCheckOption = Annotated[
     bool, typer.Option("--skip-sign-check", help="Fit even if signs, zeros, units or motion look wrong.")
 ]

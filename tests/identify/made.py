@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -82,15 +83,25 @@ def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) ->
 
 
 def flown_by_plan(
-    rig: Rig, seed: int, plan: str | Path | Plan = "identify", model: Model | None = None
+    rig: Rig,
+    seed: int,
+    plan: str | Path | Plan = "identify",
+    model: Model | None = None,
+    *,
+    parameters: Mapping[str, float] | None = None,
 ) -> Flight:
-    """Fly a `plan` on a simulated rig as `heli-host fly` does; the flight code runs at 1 kHz."""
+    """Fly a `plan` on a simulated rig as `heli-host fly` does; the flight code runs at 1 kHz.
+
+    `parameters` are those of the board.
+    """
     world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig, seed))
     session = Session(InProcessTransport(world))
     session.connect()
     with tempfile.TemporaryDirectory() as folder, Heli(session) as heli:
         path = Path(folder) / "flight.mcap"
         _prepare(heli, rig)
+        for name, value in (parameters or {}).items():
+            heli.params[name] = value
         summary = fly(heli, plan, log_path=path)
         assert summary.completed or "landing_timeout" in summary.outcome, summary.outcome
         return read_flight(path)

@@ -31,7 +31,9 @@ from heli_lab.explain.stepwise import Search, held_out_screening
 from heli_lab.explain.thresholds import DISTURBED_STD, MATTERS_COUNTS, MATTERS_NATS_PER_ROW, MIN_MARGIN
 from heli_lab.explain.verdict import Verdict, describe_negligible_effects, judge
 from heli_lab.fit.flight_model import GAINS
+from heli_lab.fit.grey_box import Recording
 from heli_lab.fit.problem import Fit
+from heli_lab.fit.voltage_timing import FASTEST_ROWS_s, advance_rates, most_likely_advance, sampled_advance
 
 
 @dataclass(frozen=True)
@@ -236,6 +238,45 @@ def justified_thrust_noise(
     dependences = assessment.residual_analysis.dependences
     replaced_gain += max((dependence.log_likelihood_gain for dependence in dependences), default=0.0)
     return with_noise if gain > max(penalty, replaced_gain) else None
+
+
+def with_likelier_advance(
+    comparison: ModelComparison, search: Search, loop_Hz: float | None
+) -> ModelComparison | None:
+    """Return the comparison in which voltages act earlier or later within the rows of their log, if the
+    flights are much more likely so with the final model of a `search`.
+
+    None if they are not, if no log can be slower than the control loop, or if the model has a delay, which is
+    a negative advance.
+    """
+
+    def may_be_slower(record: Recording) -> bool:
+        """Whether the voltages of a log may be samples of those that acted."""
+        if loop_Hz is None:
+            return record.step_s > FASTEST_ROWS_s
+        return sampled_advance(record, loop_Hz) > 0.0
+
+    slow_records = [record for record in comparison.train if may_be_slower(record)]
+    if not slow_records or search.final.estimate.functions.model.source.delay:
+        return None
+    screenings = [search.screening]
+    if comparison.can_test_held_out:
+        screenings.append(held_out_screening(comparison, search.final))
+    score = information = 0.0
+    for screening in screenings:
+        flights = screening.filtered.linearised_flights
+        signals = (
+            (advance_rates(flight) * may_be_slower(flight.reference.record), None) for flight in flights
+        )
+        (statistics,) = screening.information(signals, [1])
+        score, information = score + float(statistics.score[0]), information + statistics.information.item()
+        screening.release()
+    present_rows = slow_records[0].advance_rows
+    candidates_rows = () if loop_Hz is None else (0.0, sampled_advance(slow_records[0], loop_Hz), 1.0)
+    best = most_likely_advance(present_rows, score, information, candidates_rows)
+    if not best.is_significant:
+        return None
+    return comparison.with_advance(lambda record: best.rows if may_be_slower(record) else 0.0)
 
 
 def _log_likelihood(comparison: ModelComparison, hypothesis: Hypothesis) -> float:

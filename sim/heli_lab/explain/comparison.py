@@ -430,6 +430,19 @@ class ModelComparison:
         other._filtered_train, other._filtered_held_out = self._filtered_held_out, self._filtered_train
         return other
 
+    def with_advance(self, advance_rows: Callable[[Record], float]) -> ModelComparison:
+        """Return a comparison in which voltages act early by a part of a row, which depends on the log; the
+        flights are filtered again.
+        """
+        train, held_out = (
+            [replace(record, advance_rows=advance_rows(record)) for record in records]
+            for records in (self.train, self.held_out)
+        )
+        rows = [record.advance_rows for record in (*train, *held_out)]
+        other = self._variant(f"advance {rows} ", self.model, train, held_out)
+        other.fits = self.fits
+        return other
+
     def with_thrust_noise(self) -> ModelComparison:
         """Return a comparison in which the thrust of each rotor varies at random, in addition to torques.
 

@@ -4,6 +4,7 @@ flight.
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 import time
@@ -18,7 +19,13 @@ from heli_sim.rig import Rig
 from threadpoolctl import threadpool_limits
 
 from heli_lab.errors import IdentifyError, NotExcited
-from heli_lab.explain.assessment import Assessment, assess, justified_thrust_noise, with_listed_remainder
+from heli_lab.explain.assessment import (
+    Assessment,
+    assess,
+    justified_thrust_noise,
+    with_likelier_advance,
+    with_listed_remainder,
+)
 from heli_lab.explain.candidates import may_join
 from heli_lab.explain.comparison import EstimateCache, ModelComparison, fingerprint
 from heli_lab.explain.experiment_design import propose_experiment
@@ -30,6 +37,7 @@ from heli_lab.explain.result import Diagnosis, Effort, Proposal
 from heli_lab.explain.stepwise import Search, search
 from heli_lab.explain.verdict import undetectable_effects, unidentifiable_parameters
 from heli_lab.fit.records import Record, prepare
+from heli_lab.fit.voltage_timing import sampled_advance
 from heli_lab.threads import using_threads
 
 
@@ -48,6 +56,7 @@ def diagnose(
     calibrate_s: float | None = None,
     threads: int | None = None,
     resume: Path | None = None,
+    loop_Hz: float | None = None,
     say: Callable[[str, float], None] | None = None,
 ) -> Diagnosis:
     """Find what a model lacks, and measure what an extension of the model gains.
@@ -79,6 +88,9 @@ def diagnose(
     resume : Path, optional
         File that keeps the estimates. A diagnosis that was interrupted continues from it, and has the same
         result as one that was not.
+    loop_Hz : float, optional
+        Rate of the control loop. If a log has fewer rows, its voltages are samples of those that acted. By
+        default, the flights themselves show whether their log is slower than the loop.
     say : callable, optional
         Called with the present step in words, and with the share of the work that is done, 0 to 1.
 
@@ -131,7 +143,18 @@ def diagnose(
         comparison = ModelComparison(model, rig, train, held_out, seed=seed, cache=cache)
         known = {effect.name for effect in model.effects}
         tried = {id_: kind for id_, kind in available.items() if _is_candidate(kind, model, known, available)}
+        if loop_Hz is not None:
+            comparison = comparison.with_advance(functools.partial(sampled_advance, loop_Hz=loop_Hz))
         result, assessment = _search_and_assess(comparison, tried, available, report, refits)
+        timed_comparison = with_likelier_advance(comparison, result, loop_Hz)
+        if timed_comparison is not None:
+            report("repeating the search with voltages that act early", 0.5)
+            timed_result, timed_assessment = _search_and_assess(
+                timed_comparison, tried, available, report, refits
+            )
+            was_unexplained = assessment.verdict.label == "unexplained"
+            if was_unexplained or timed_assessment.verdict.label != "unexplained":
+                comparison, result, assessment = timed_comparison, timed_result, timed_assessment
         noisy_comparison = justified_thrust_noise(comparison, result, assessment)
         if noisy_comparison is not None:
             noisy_result, noisy_assessment = _search_and_assess(

@@ -163,6 +163,8 @@ class Record:
         Further remarks on the flight, one sentence each.
     gaps : tuple of int
         Rows after which time is missing.
+    advance_rows : float
+        Part of a row by which the voltages act early on average, 0 to 1; see `voltage_timing`.
     """
 
     label: str
@@ -175,6 +177,7 @@ class Record:
     cuts: tuple[Cut, ...]
     notes: tuple[str, ...] = ()
     gaps: tuple[int, ...] = ()
+    advance_rows: float = 0.0
 
     @property
     def sigma_rad(self) -> Floats:
@@ -195,6 +198,14 @@ class Record:
     def resolution(self) -> Floats:
         """The encoders' counts, as `estimation.Recording` names them, shape (3,), rad."""
         return self.count_rad
+
+    def over_rows(self, values: Floats) -> Floats:
+        """Average a function of the voltages, shape (n, 2), over the time from each row to the next."""
+        if self.advance_rows == 0.0:
+            return values
+        next_values = np.concatenate((values[1:], values[-1:]))
+        next_values[list(self.gaps)] = values[list(self.gaps)]
+        return values + self.advance_rows * (next_values - values)
 
     @property
     def used_s(self) -> float:

@@ -103,12 +103,14 @@ def make_grid(
     step_s = record.step_s * every
     volts_V, delay_s = record.voltages_V, 0.0 if delay is None else delay[1]
     derivatives: list[VoltageDerivative] = []
-    if dead_zone_V is not None and every > 1:
+    averages_voltages = every > 1 or record.advance_rows > 0.0
+    if dead_zone_V is not None and averages_voltages:
         # A raised voltage is the dead zone itself, so that its derivative to the dead zone is 1.
-        is_raised = (volts_V < dead_zone_V).astype(float)
+        is_raised = record.over_rows((volts_V < dead_zone_V).astype(float))
         volts_V = np.maximum(volts_V, dead_zone_V)
         of_mean, of_change = _mean_and_change(is_raised, record.step_s, rows, every, delay_s)
         derivatives.append(VoltageDerivative("dead_zone", of_mean, of_change))
+    volts_V = record.over_rows(volts_V)
     mean_V, change_V = _mean_and_change(volts_V, record.step_s, rows, every, delay_s)
     if delay is not None:
         # Central difference, with delays half a row longer and shorter.
@@ -174,9 +176,9 @@ class WindowGrids:
         The coarse and the fine grid have the same windows.
         """
         key = (index, fine)
-        arguments = (delay, None if fine else dead_zone_V)
+        record = self.records[index]
+        arguments = (delay, None if fine and not record.advance_rows else dead_zone_V)
         if key not in self._grids or self._grids[key][0] != arguments:
-            record = self.records[index]
             grid = make_grid(
                 record,
                 self.windows(index),

@@ -143,6 +143,7 @@ def diagnose(
     start_s: option.FromOption = None,
     stop_s: option.ToOption = None,
     allow_gaps: option.GapsOption = False,
+    loop_rate_Hz: option.LoopRateOption = None,
     skip_sign_check: option.SkipSignCheckOption = False,
     report: option.ReportOption = None,
     json: JsonOption = None,
@@ -238,6 +239,7 @@ def diagnose(
                 calibrate_s=calibrate_s,
                 refits=budget,
                 resume=resume,
+                loop_Hz=loop_rate_Hz,
                 say=bar.show,
             )
         except NotExcited as error:
@@ -274,8 +276,9 @@ def diagnose(
 
 def _print_diagnosis(result: Diagnosis | InsufficientExcitation) -> None:
     """Print the verdict, the causes and the error reduction."""
-    from heli_lab.report.diagnosis.text import lines, summary
+    from heli_lab.report.diagnosis.text import lines, slow_log_cautions, summary
 
+    say(*slow_log_cautions(result))
     say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result)))
 
 

@@ -24,6 +24,7 @@ from heli_lab.explain.thresholds import (
 )
 from heli_lab.explain.verdict import CauseParameter, FamilyNumber, NamedCause, PriorConflict
 from heli_lab.explain.wording import capital, dependence_in_words, evidence_in_words
+from heli_lab.fit.voltage_timing import slow_log_note
 
 
 @dataclass(frozen=True)
@@ -319,7 +320,7 @@ def _parameter_entries(parameters: Mapping[str, CauseParameter]) -> dict[str, di
 
 def cautions(result: Diagnosis) -> list[str]:
     """List what weakens a `result`, in sentences without full stops; empty if nothing does."""
-    lines = [f"not used: {why}" for why in result.skipped]
+    lines = [*slow_log_cautions(result), *(f"not used: {why}" for why in result.skipped)]
     held_out = result.assessment.after.held_out_fit
     if held_out is None:
         lines.append("no flight was held out: nothing here is confirmed; give one to --validate")
@@ -350,6 +351,19 @@ def cautions(result: Diagnosis) -> list[str]:
     if not result.search.complete:
         lines.append("the limit of refits ended the search before everything was tried; raise --budget")
     return lines
+
+
+def slow_log_cautions(result: Diagnosis | InsufficientExcitation) -> list[str]:
+    """List what logs that are slower than the control loop do not show, in sentences without full stops."""
+    if isinstance(result, InsufficientExcitation):
+        return []
+    after = result.assessment.after
+    records = [
+        *after.fit.problem.records,
+        *(after.held_out_fit.problem.records if after.held_out_fit else ()),
+    ]
+    # Logs of one logger have the same note.
+    return list(dict.fromkeys(filter(None, map(slow_log_note, records))))
 
 
 def _held_out_cautions(result: Diagnosis, seconds: float) -> list[str]:
@@ -527,7 +541,8 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
     if cause_entries(result):
         lines.append("\N{PLUS-MINUS SIGN} is one standard error")
     lines.append(f"what to do next: {next_step(result)}")
-    return lines + cautions(result)
+    shown_first = slow_log_cautions(result)
+    return lines + [caution for caution in cautions(result) if caution not in shown_first]
 
 
 def small_effect_lines(result: Diagnosis) -> list[str]:
