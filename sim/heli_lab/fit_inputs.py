@@ -81,8 +81,7 @@ LoopRateOption = Annotated[
         "--loop-rate",
         metavar="HZ",
         min=1.0,
-        help="State the rate of the control loop in Hz.  [default: estimated from the flights]",
-        show_default=False,
+        help="Correct for a log with fewer rows per second than this control loop.",
     ),
 ]
 SkipSignCheckOption = Annotated[

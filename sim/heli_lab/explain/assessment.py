@@ -241,10 +241,10 @@ def justified_thrust_noise(
 
 
 def with_likelier_advance(
-    comparison: ModelComparison, search: Search, loop_Hz: float | None
+    comparison: ModelComparison, final: Hypothesis, loop_Hz: float | None
 ) -> ModelComparison | None:
     """Return the comparison in which voltages act earlier or later within the rows of their log, if the
-    flights are much more likely so with the final model of a `search`.
+    flights are much more likely so with the `final` model of a search.
 
     None if they are not, if no log can be slower than the control loop, or if the model has a delay, which is
     a negative advance.
@@ -257,11 +257,11 @@ def with_likelier_advance(
         return sampled_advance(record, loop_Hz) > 0.0
 
     slow_records = [record for record in comparison.train if may_be_slower(record)]
-    if not slow_records or search.final.estimate.functions.model.source.delay:
+    if not slow_records or final.estimate.functions.model.source.delay:
         return None
-    screenings = [search.screening]
+    screenings = [Screening(final.estimate)]
     if comparison.can_test_held_out:
-        screenings.append(held_out_screening(comparison, search.final))
+        screenings.append(held_out_screening(comparison, final))
     score = information = 0.0
     for screening in screenings:
         flights = screening.filtered.linearised_flights

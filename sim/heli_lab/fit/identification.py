@@ -50,6 +50,7 @@ from heli_lab.fit.uncertainty import (
     normalised,
     uninformed_parameters,
 )
+from heli_lab.fit.voltage_timing import sampled, slow_log_notes
 
 
 @dataclass(frozen=True)
@@ -303,6 +304,11 @@ class Identification:
         return "uninformed" if name in self.uninformed_parameters else ""
 
     @property
+    def slow_log_notes(self) -> list[str]:
+        """What logs that are slower than the control loop do not show."""
+        return slow_log_notes(self.fit.problem.records)
+
+    @property
     def strong_correlations(self) -> list[tuple[str, str, float]]:
         """Pairs of parameters whose correlation exceeds `STRONG_CORRELATION`: both names and the correlation,
         strongest first.
@@ -439,7 +445,7 @@ class Identification:
             entry["left_out"] = [
                 {"from_s": cut.start_s, "to_s": cut.stop_s, "why": cut.why} for cut in record.cuts
             ]
-            entry["notes"] = list(record.notes)
+            entry["notes"] = [*slow_log_notes([record]), *record.notes]
         return entry
 
 
@@ -492,6 +498,7 @@ def identify(
     start_s: float | None = None,
     stop_s: float | None = None,
     window_s: float = 2.0,
+    loop_Hz: float | None = None,
     max_fit_s: float = float("inf"),
     threads: int | None = None,
     on_progress: Callable[[FitProgress], None] | None = None,
@@ -517,6 +524,9 @@ def identify(
         Fit only this part of each flight [s of its time column].
     window_s : float
         Length of the windows of the open-loop simulation [s].
+    loop_Hz : float, optional
+        Rate of the control loop [Hz]. If a log has fewer rows, its voltages are samples of those that acted.
+        By default, every voltage acts from its row to the next.
     max_fit_s : float
         Longest time on this computer for preparation and fit [s].
     threads : int, optional
@@ -538,6 +548,8 @@ def identify(
     report(FitProgress("finding the free flight", 0.0, 0.0))
     records = prepare_all(flights, rig, labels, start_s=start_s, stop_s=stop_s)
     held_out = prepare_all(validation, rig, validation_labels, "validation")
+    if loop_Hz is not None:
+        records, held_out = sampled(records, loop_Hz), sampled(held_out, loop_Hz)
     if any(record is other or record.label == other.label for record in records for other in held_out):
         raise IdentifyError("a flight is both fitted and validated on", "give another flight to --validate")
     report(FitProgress("compiling the model", 0.05, 0.0))

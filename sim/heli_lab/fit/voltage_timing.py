@@ -1,22 +1,22 @@
 """When logged voltages act, if the log is slower than the control loop.
 
 A log at the rate of the control loop has every voltage, and each acts from its row to the next. A slower log
-has a sample of the voltage per row; between its rows, the controller changes the voltage several times. Of
-the sums over a row that the motion shows, the samples at both ends are the best linear estimate:
+has a sample of the voltage per row; between its rows, the controller changes the voltage several times. The
+motion shows the mean voltage over a row. The samples at both ends of the row are its best linear estimate:
 
     mean over row k = (1 - a) u_k + a u_k+1,  a = (n - 1) / 2 n  for n periods of the loop per row.
 
 The *advance* a says when a voltage acts on average: 0 if it acts from its row to the next, and 1 if it acted
 from the row before until its row. The innovations of a model decide. An advance is a negative delay, which no
-rig has: it is estimated between 0 and 1 only, and after the search for causes, so that neither a delay nor a
-lag of the rotors becomes an advance. The rest of the voltages between rows has no memory from one row to the
+rig has. It is therefore estimated between 0 and 1 only, and after the search for causes. Otherwise a delay or
+a lag of the rotors would change it. The rest of the voltages between rows has no memory from one row to the
 next, and counts as a disturbance. On four simulated healthy flights, each logged with rows of 2, 4 and 10 ms,
 the estimate added 3 to 73 nats and was within two standard errors of (n - 1) / 2 n (2026-11).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -41,6 +41,11 @@ def sampled_advance(record: Recording, loop_Hz: float) -> float:
     """Return the advance of a log whose voltages are samples of a loop of `loop_Hz`; 0 at loop rate."""
     periods = max(1, round(record.step_s * loop_Hz))
     return (periods - 1) / (2 * periods)
+
+
+def sampled(records: Sequence[Record], loop_Hz: float) -> tuple[Record, ...]:
+    """Return flights whose voltages are samples of a control loop of `loop_Hz`."""
+    return tuple(replace(record, advance_rows=sampled_advance(record, loop_Hz)) for record in records)
 
 
 @dataclass(frozen=True)
@@ -110,6 +115,11 @@ def slow_log_note(record: Record) -> str:
         "the log is slower than the control loop: the voltages between its rows are not known, and effects "
         f"faster than {2.0 * row_ms:.3g} ms cannot be seen (rows of {row_ms:.3g} ms; {_timing(record)})"
     )
+
+
+def slow_log_notes(records: Iterable[Record]) -> list[str]:
+    """List the notes of `slow_log_note` on several flights; logs of one logger share a note."""
+    return list(dict.fromkeys(filter(None, map(slow_log_note, records))))
 
 
 def _timing(record: Record) -> str:

@@ -56,6 +56,7 @@ def identify(
         ),
     ] = 2.0,
     allow_gaps: option.GapsOption = False,
+    loop_rate_Hz: option.LoopRateOption = None,
     skip_sign_check: option.SkipSignCheckOption = False,
     save_rig: option.SaveRigOption = None,
     report: option.ReportOption = None,
@@ -99,6 +100,7 @@ def identify(
             labels=inputs.labels[: len(flights)],
             validation_labels=inputs.labels[len(flights) :],
             window_s=window_s,
+            loop_Hz=loop_rate_Hz,
             on_progress=lambda progress: bar.show(progress.stage, progress.done),
             accept_unexplained=skip_sign_check,
         )
@@ -111,7 +113,7 @@ def identify(
             page = write_identification_report(identification, report, drawing)
         numbers = identification.json()
         write_result(json, numbers)
-    say(flights_line(numbers["flights"]))
+    say(*identification.slow_log_notes, flights_line(numbers["flights"]))
     _print_estimates(identification)
     say(verdict(identification))
     say_files((save_rig, page, json))

@@ -24,7 +24,7 @@ from heli_lab.explain.thresholds import (
 )
 from heli_lab.explain.verdict import CauseParameter, FamilyNumber, NamedCause, PriorConflict
 from heli_lab.explain.wording import capital, dependence_in_words, evidence_in_words
-from heli_lab.fit.voltage_timing import slow_log_note
+from heli_lab.fit.voltage_timing import slow_log_notes
 
 
 @dataclass(frozen=True)
@@ -362,8 +362,7 @@ def slow_log_cautions(result: Diagnosis | InsufficientExcitation) -> list[str]:
         *after.fit.problem.records,
         *(after.held_out_fit.problem.records if after.held_out_fit else ()),
     ]
-    # Logs of one logger have the same note.
-    return list(dict.fromkeys(filter(None, map(slow_log_note, records))))
+    return slow_log_notes(records)
 
 
 def _held_out_cautions(result: Diagnosis, seconds: float) -> list[str]:
