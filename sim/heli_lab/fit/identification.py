@@ -305,7 +305,7 @@ class Identification:
 
     @property
     def slow_log_notes(self) -> list[str]:
-        """What logs that are slower than the control loop do not show."""
+        """Limits of logs that are slower than the control loop, one note each."""
         return slow_log_notes(self.fit.problem.records)
 
     @property

@@ -200,7 +200,18 @@ class Record:
         return self.count_rad
 
     def over_rows(self, values: Floats) -> Floats:
-        """Average a function of the voltages, shape (n, 2), over the time from each row to the next."""
+        """Average a function of the voltages over the time from each row to the next.
+
+        Parameters
+        ----------
+        values : ndarray (n, 2)
+            Values of the function for the logged voltages.
+
+        Returns
+        -------
+        ndarray (n, 2)
+            Their means: between two rows, the voltages change from those of the first to those of the second.
+        """
         if self.advance_rows == 0.0:
             return values
         next_values = np.concatenate((values[1:], values[-1:]))
