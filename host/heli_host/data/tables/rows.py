@@ -367,7 +367,10 @@ def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str
         "copies": ("left out", f"that repeat the row before, with the same '{column}'"),
         "rivals": ("left out", f"that contradict another with the same '{column}' (first: {first_rival:g})"),
         "merged": ("merged", f"into the row with the same '{column}', whose blank cells they fill"),
-        "coarse": ("retimed", f"that share their '{column}' with others: {'; '.join(notes)}"),
+        "coarse": (
+            "retimed",
+            f"that repeat the time of the row before, because '{column}' is coarse: {'; '.join(notes)}",
+        ),
     }
     changes = [RowChange(reasons[key][0], rows, reasons[key][1]) for key, rows in counts.items() if rows]
     if counts["merged"]:
@@ -470,7 +473,7 @@ def _counted_on(times: Floats, unit_s: float) -> tuple[Floats, int, str]:
     start = float(np.mean(times - slope * rows))
     if slope > 0.0 and np.abs(times - start - slope * rows).max() <= 1.05 * max(resolution, slope):
         even: Floats = start + slope * rows
-        return even, count, f"{about}; the rows were counted on at {1.0 / (slope * unit_s):.6g} Hz"
+        return even, count, f"{about}; the rows were counted on evenly at {1.0 / (slope * unit_s):.6g} Hz"
     typical = float(np.median(lengths))
     longest = typical * np.maximum(1.0, sizes / np.median(sizes))
     lengths = np.minimum(np.append(lengths, typical), longest)
