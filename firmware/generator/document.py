@@ -66,10 +66,11 @@ parameter of its axis. Samples, tables and logs contain every channel, with thes
 FAULTS = """\
 # Faults
 
-The board reports a fault by number and name. Look up here what it means, and how to fix it. For a longer answer, see
-[troubleshooting](../how-to/troubleshooting.md). The column *limit* names the [parameter](parameters.md) that sets the threshold.
+The board reports a fault by number and name. This table states the meaning of each fault and how to fix it. To check an encoder or a sign,
+run `heli-host watch` and move the arm by hand. To zero an axis, click *zero* on the dashboard. The column *limit* names the
+[parameter](parameters.md) that sets the threshold. For other symptoms, see [troubleshooting](../how-to/troubleshooting.md).
 
-A latched fault stays until you clear it with `heli-host fly ... --clear-fault`, or on the dashboard. The column *kind* shows what the board does:
+A latched fault stays until you clear it with `heli-host fly ... --clear-fault`, or on the dashboard. The column *kind* states what the board does:
 """
 FAULT_KINDS = {
     "trip": "the board cuts the motors and latches the fault.",

@@ -104,7 +104,7 @@ void NativeBoard::tick(const std::int32_t* count) {
   if (const char* claim = broken_invariant(*code_, MemoryBoard::kDutyFull)) {
     throw std::logic_error(
         std::string("error: the flight code breaks the invariant of the proof '") + claim +
-        "'; report this flight, see docs/validation/proofs.md");
+        "'; report this flight, see docs/reference/proved-claims.md");
   }
 }
 
