@@ -23,6 +23,8 @@ SIGNAL, POWER, SUPPLY, GROUND = "#1b4f8f", "#b04a00", "#a01515", "#333333"
 BOARD_LEFT, BOARD_RIGHT = 58.0, 84.0
 LEFT_EDGE, RIGHT_EDGE = 26.0, 108.0
 RAIL = 141.0
+# Sizes in points that give 10 pixels or more on a page of the site, which shows the drawing 864 pixels wide.
+SMALL, NORMAL, LARGE = 12, 12.5, 14
 
 
 class Pin(NamedTuple):
@@ -57,9 +59,9 @@ def block(axes: Axes, x: float, y: float, width: float, height: float, title: st
     """A box with a title above its middle and a note below it."""
     axes.add_patch(Rectangle((x, y), width, height, facecolor="#f4f4f4", edgecolor="black", linewidth=1.2))
     middle = x + width / 2
-    axes.text(middle, y + height + 0.8, title, ha="center", va="bottom", fontsize=9, fontweight="bold")
+    axes.text(middle, y + height + 0.8, title, ha="center", va="bottom", fontsize=LARGE, fontweight="bold")
     if note:
-        axes.text(middle, y - 0.8, note, ha="center", va="top", fontsize=7)
+        axes.text(middle, y - 0.8, note, ha="center", va="top", fontsize=SMALL)
 
 
 def pull_up(axes: Axes, x: float, y: float, value: str) -> None:
@@ -67,8 +69,8 @@ def pull_up(axes: Axes, x: float, y: float, value: str) -> None:
     dot(axes, x, y)
     wire(axes, [(x, y), (x, y + 4.0)], POWER)
     axes.add_patch(Rectangle((x - 0.6, y + 0.9), 1.2, 2.4, facecolor="white", edgecolor=POWER, zorder=3))
-    axes.text(x + 1.1, y + 2.1, value, fontsize=7, va="center", color=POWER)
-    axes.text(x, y + 4.1, "3.3 V", fontsize=6.5, ha="center", va="bottom", color=POWER)
+    axes.text(x + 1.1, y + 2.1, value, fontsize=SMALL, va="center", color=POWER)
+    axes.text(x, y + 4.1, "3.3 V", fontsize=SMALL, ha="center", va="bottom", color=POWER)
 
 
 def earth(axes: Axes, x: float, y: float) -> None:
@@ -82,7 +84,7 @@ def pull_down(axes: Axes, x: float, y: float, value: str) -> None:
     dot(axes, x, y)
     wire(axes, [(x, y), (x, y - 3.6)], GROUND)
     axes.add_patch(Rectangle((x - 0.6, y - 3.2), 1.2, 2.4, facecolor="white", edgecolor=GROUND, zorder=3))
-    axes.text(x + 1.1, y - 2.0, value, fontsize=7, va="center", color=GROUND)
+    axes.text(x + 1.1, y - 2.0, value, fontsize=SMALL, va="center", color=GROUND)
     earth(axes, x, y - 3.6)
 
 
@@ -97,22 +99,22 @@ def board_pin(axes: Axes, y: float, label: str, chip: str, *, is_left: bool) -> 
         f"{label}  {chip}" if is_left else f"{chip}  {label}",
         ha=inward,
         va="center",
-        fontsize=8,
+        fontsize=NORMAL,
     )
 
 
 def encoder(axes: Axes, top: float, name: str, line_a: Pin, line_b: Pin) -> None:
     """An encoder and its two lines."""
     block(
-        axes, 4.0, top - 9.5, LEFT_EDGE - 4.0, 12.0, f"encoder: {name}", "12-24 V and 0 V from its own supply"
+        axes, 4.0, top - 9.5, LEFT_EDGE - 4.0, 12.0, f"encoder: {name}", "12-24 V and 0 V\nfrom its own supply"
     )
     for y, line, pin, at in ((top, "A", line_a, 34.0), (top - 7.0, "B", line_b, 44.0)):
-        axes.text(LEFT_EDGE - 1.0, y, line, ha="right", va="center", fontsize=8)
+        axes.text(LEFT_EDGE - 1.0, y, line, ha="right", va="center", fontsize=NORMAL)
         wire(axes, [(LEFT_EDGE, y), (BOARD_LEFT, y)])
         # The LED on the board loads this pin.
         pull_up(axes, at, y, "1 k" if pin.due == "D13" else "1-2.2 k")
         board_pin(axes, y, pin.due, pin.chip, is_left=True)
-    axes.text(5.0, top - 3.5, "N type:\nopen collector", fontsize=7, va="center")
+    axes.text(5.0, top - 3.5, "N type:\nopen collector", fontsize=SMALL, va="center")
 
 
 def driver(axes: Axes, top: float, name: str, lines: list[tuple[str, Pin]], *, inverted: bool) -> float:
@@ -120,34 +122,34 @@ def driver(axes: Axes, top: float, name: str, lines: list[tuple[str, Pin]], *, i
     block(axes, RIGHT_EDGE, top - 30.0, 19.0, 33.0, f"{name} driver: IBT-2")
     for row, (terminal, pin) in enumerate(lines):
         y = top - 5.5 * row
-        axes.text(RIGHT_EDGE + 1.0, y, terminal, ha="left", va="center", fontsize=8)
+        axes.text(RIGHT_EDGE + 1.0, y, terminal, ha="left", va="center", fontsize=NORMAL)
         wire(axes, [(BOARD_RIGHT, y), (RIGHT_EDGE, y)])
         board_pin(axes, y, pin.due, pin.chip, is_left=False)
         if terminal.endswith("EN"):
             hold_off = pull_up if inverted else pull_down
             hold_off(axes, 92.0 if terminal == "R_EN" else 100.0, y, "4.7 k")
     y = top - 5.5 * len(lines)
-    axes.text(RIGHT_EDGE + 1.0, y, "VCC", ha="left", va="center", fontsize=8)
+    axes.text(RIGHT_EDGE + 1.0, y, "VCC", ha="left", va="center", fontsize=NORMAL)
     wire(axes, [(RIGHT_EDGE, y), (100.0, y)], POWER)
-    axes.text(99.4, y, "3.3 V, never 5 V", ha="right", va="center", fontsize=7, color=POWER)
-    axes.text(RIGHT_EDGE + 1.0, y - 3.0, "GND", ha="left", va="center", fontsize=8)
+    axes.text(99.4, y, "3.3 V,\nnever 5 V", ha="right", va="center", fontsize=SMALL, color=POWER)
+    axes.text(RIGHT_EDGE + 1.0, y - 3.0, "GND", ha="left", va="center", fontsize=NORMAL)
     wire(axes, [(RIGHT_EDGE, y - 3.0), (104.5, y - 3.0)], GROUND)
     earth(axes, 104.5, y - 3.0)
-    axes.text(RIGHT_EDGE + 1.0, y - 6.0, "R_IS, L_IS: open", ha="left", va="center", fontsize=7)
+    axes.text(RIGHT_EDGE + 1.0, y - 6.0, "R_IS, L_IS: open", ha="left", va="center", fontsize=SMALL)
     axes.add_patch(Circle((135.0, top - 8.0), 3.6, facecolor="white", edgecolor="black"))
-    axes.text(135.0, top - 8.0, "M", ha="center", va="center", fontsize=10)
-    axes.text(135.0, top - 3.6, name, ha="center", va="bottom", fontsize=7)
+    axes.text(135.0, top - 8.0, "M", ha="center", va="center", fontsize=LARGE)
+    axes.text(135.0, top - 3.6, name, ha="center", va="bottom", fontsize=SMALL)
     for y in (top - 6.0, top - 10.0):
         wire(axes, [(RIGHT_EDGE + 19.0, y), (132.0, y)])
-    axes.text(RIGHT_EDGE + 18.2, top - 8.0, "M+ M-", ha="right", va="center", fontsize=7)
+    axes.text(RIGHT_EDGE + 18.2, top - 8.0, "M+ M-", ha="right", va="center", fontsize=SMALL)
     supply_y = top - 20.0
-    axes.text(RIGHT_EDGE + 18.2, supply_y, "B+", ha="right", va="center", fontsize=8)
-    axes.text(RIGHT_EDGE + 18.2, supply_y - 5.0, "B-", ha="right", va="center", fontsize=8)
+    axes.text(RIGHT_EDGE + 18.2, supply_y, "B+", ha="right", va="center", fontsize=NORMAL)
+    axes.text(RIGHT_EDGE + 18.2, supply_y - 5.0, "B-", ha="right", va="center", fontsize=NORMAL)
     wire(axes, [(RIGHT_EDGE + 19.0, supply_y), (RAIL, supply_y)], SUPPLY)
     axes.add_patch(
         Rectangle((128.6, supply_y - 0.7), 4.0, 1.4, facecolor="white", edgecolor=SUPPLY, zorder=3)
     )
-    axes.text(130.6, supply_y + 1.0, "fuse", ha="center", va="bottom", fontsize=7, color=SUPPLY)
+    axes.text(130.6, supply_y + 1.0, "fuse", ha="center", va="bottom", fontsize=SMALL, color=SUPPLY)
     wire(axes, [(RIGHT_EDGE + 19.0, supply_y - 5.0), (130.0, supply_y - 5.0)], GROUND)
     earth(axes, 130.0, supply_y - 5.0)
     return supply_y
@@ -166,7 +168,7 @@ def draw(path: Path) -> Figure:
     Figure
     """
     pins, wiring = wires(path), read_pins(path)
-    figure = Figure(figsize=(14.4, 9.6))
+    figure = Figure(figsize=(14.4, 12.0))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_xlim(0, 144)
     axes.set_ylim(0, 96)
@@ -182,11 +184,11 @@ def draw(path: Path) -> Figure:
     )
     axes.add_patch(board)
     middle = (BOARD_LEFT + BOARD_RIGHT) / 2
-    axes.text(middle, 91.0, "Arduino Due", ha="center", va="bottom", fontsize=11, fontweight="bold")
-    axes.text(78.5, 12.4, "programming\nport (USB)", ha="center", fontsize=8)
-    axes.text(78.5, 9.4, f"{pins['Receive'].due}, {pins['Transmit'].due}: open", ha="center", fontsize=7)
+    axes.text(middle, 91.0, "Arduino Due", ha="center", va="bottom", fontsize=LARGE, fontweight="bold")
+    axes.text(76.5, 18.0, "programming\nport (USB)", ha="center", fontsize=NORMAL)
+    axes.text(76.5, 11.4, f"{pins['Receive'].due}, {pins['Transmit'].due}: open", ha="center", fontsize=SMALL)
     wire(axes, [(78.5, 6.0), (78.5, 2.8)])
-    axes.text(78.5, 2.2, "computer; the board's only supply", ha="center", va="top", fontsize=7)
+    axes.text(78.5, 2.2, "computer; the board's only supply", ha="center", va="top", fontsize=SMALL)
 
     encoder(axes, 84.0, "elevation", pins["ElevationA"], pins["ElevationB"])
     encoder(axes, 64.5, "pitch", pins["PitchA"], pins["PitchB"])
@@ -204,12 +206,12 @@ def draw(path: Path) -> Figure:
         LEFT_EDGE - 4.0,
         8.5,
         "stop: normally closed" if wiring.stop_is_high else "stop: normally open",
-        "opens when pressed; second contact: right"
+        "opens when pressed;\nsecond contact: right"
         if wiring.stop_is_high
-        else "second contact, which opens: right",
+        else "second contact,\nwhich opens: right",
     )
-    axes.text(LEFT_EDGE - 1.0, y, "to D29", ha="right", va="center", fontsize=7)
-    axes.text(LEFT_EDGE - 1.0, y - 3.4, "to ground", ha="right", va="center", fontsize=7)
+    axes.text(LEFT_EDGE - 1.0, y, "to D29", ha="right", va="center", fontsize=SMALL)
+    axes.text(LEFT_EDGE - 1.0, y - 3.4, "to ground", ha="right", va="center", fontsize=SMALL)
     wire(axes, [(LEFT_EDGE, y - 3.4), (34.0, y - 3.4)], GROUND)
     earth(axes, 34.0, y - 3.4)
 
@@ -223,7 +225,7 @@ def draw(path: Path) -> Figure:
             "leave open: clears a count",
             ha="right",
             va="center",
-            fontsize=7,
+            fontsize=SMALL,
             color=SUPPLY,
         )
 
@@ -247,10 +249,10 @@ def draw(path: Path) -> Figure:
     wire(axes, [(133.0, 6.0), (133.0, 7.0)], SUPPLY)
     wire(axes, [(126.0, 7.0), (133.6, 6.2)], SUPPLY)
     wire(axes, [(126.0, 7.0), (121.0, 7.0)], SUPPLY)
-    axes.text(120.4, 7.0, "+12 V", ha="right", va="center", fontsize=9, color=SUPPLY)
-    axes.text(130.0, 8.0, "stop, second contact", ha="center", va="bottom", fontsize=7, color=SUPPLY)
+    axes.text(120.4, 7.0, "+12 V", ha="right", va="center", fontsize=LARGE, color=SUPPLY)
+    axes.text(130.0, 8.0, "stop, second contact", ha="center", va="bottom", fontsize=SMALL, color=SUPPLY)
     axes.text(
-        124.0, 3.0, "one ground for supply, drivers,\nencoders and Due", ha="right", va="center", fontsize=7
+        124.0, 3.0, "one ground for supply, drivers,\nencoders and Due", ha="right", va="center", fontsize=SMALL
     )
     earth(axes, 126.5, 3.6)
     return figure
