@@ -213,6 +213,12 @@ def test_missing_torque_agrees_with_the_hidden_effect_without_its_equation(
     assert term.share > 0.8
 
 
+def test_torque_of_a_right_lag_lies_on_the_line_of_its_equation() -> None:
+    # A lag changes its torque within a block of the filter: values at the block's first step are 20 % larger.
+    (term,) = missing_terms(diagnosed("rotor_lag=0.06"))
+    assert np.polyfit(term.contribution, term.missing, 1)[0] == pytest.approx(1.0, abs=0.08)
+
+
 def test_a_page_says_why_no_region_fails_although_something_is_missing() -> None:
     diagnosis = diagnosed(unlisted=True)
     nothing_fails = replace(

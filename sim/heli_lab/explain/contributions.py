@@ -324,8 +324,12 @@ def missing_torque(
 
 
 def _smoothed_torques(filtered: InnovationsModel, disturbances: DisturbanceModel) -> SmoothedDisturbances:
-    """Estimate the disturbance torques about the three axes, all flights one after the other."""
-    by_flight = smoothed_disturbances(filtered, disturbances)
+    """Estimate the mean disturbance torques of each measurement's block, all flights one after the other.
+
+    The contribution of a cause is a mean over the block, too. At the first step of a block, a fast
+    disturbance is larger: with a correlation time of 40 ms and blocks of 20 ms by 27 %.
+    """
+    by_flight = smoothed_disturbances(filtered, disturbances, block_means=True)
     return SmoothedDisturbances(*(np.concatenate(arrays) for arrays in zip(*by_flight, strict=True)))
 
 

@@ -383,7 +383,7 @@ class SmoothedDisturbances(NamedTuple):
 
 
 def smoothed_disturbances(
-    filtered: InnovationsModel, disturbances: DisturbanceModel
+    filtered: InnovationsModel, disturbances: DisturbanceModel, *, block_means: bool = False
 ) -> list[SmoothedDisturbances]:
     """Estimate the disturbances given each whole flight, by the fixed-interval smoother.
 
@@ -393,6 +393,9 @@ def smoothed_disturbances(
         The model along the flights.
     disturbances : DisturbanceModel
         Disturbances and quantisation.
+    block_means : bool
+        Whether to return the mean over each block of steps. Otherwise, the values are those at the first step
+        of each block, from which a fast disturbance decays within the block.
 
     Returns
     -------
@@ -411,8 +414,12 @@ def smoothed_disturbances(
             first_slow = first_fast + blocks.part_input.shape[3]
             fast, slow = (slice(first, first + outputs) for first in (first_fast, first_slow))
             times.append(linearised.nodes.t_s[blocks.rows])
-            values.append(mean[:, fast] + mean[:, slow])
-            errors.append(np.sqrt(variance[:, fast] + variance[:, slow]))
+            decay = system.autocorrelation[:, None] ** np.arange(len(blocks.part_input) if block_means else 1)
+            fast_share, slow_share = (
+                decay.mean(axis=1)[part.start - first_fast : part.stop - first_fast] for part in (fast, slow)
+            )
+            values.append(fast_share * mean[:, fast] + slow_share * mean[:, slow])
+            errors.append(np.sqrt(fast_share**2 * variance[:, fast] + slow_share**2 * variance[:, slow]))
         result.append(
             SmoothedDisturbances(np.concatenate(times), np.concatenate(values), np.concatenate(errors))
         )

@@ -667,7 +667,11 @@ def _disturbance_section(diagnosis: Diagnosis, numbers: dict[str, Any]) -> dict[
         fast_mNm, slow_mNm = 1e3 * values["fast_std_Nm"], 1e3 * values["slow_std_Nm"]
         correlation_time_s = values["correlation_time_s"]
         rows.append([axis, f"{fast_mNm:.2g}", f"{correlation_time_s:.2g}", f"{slow_mNm:.2g}", evidence])
-    return {"text": f"Disturbances that no model predicts: {disturbances_in_words(diagnosis)}.", "rows": rows}
+    return {
+        "text": "Disturbances, torques that neither the model nor a cause predicts: "
+        f"{disturbances_in_words(diagnosis)}.",
+        "rows": rows,
+    }
 
 
 def _ranking_rows(ranking: Sequence[dict[str, Any]]) -> list[list[str]]:
