@@ -94,7 +94,7 @@ class Result(Name):
 
 
 class LawError(Name):
-    """Why a law, or a part of one, is refused; what ack.value holds with it."""
+    """Reasons for refusing a law or a part of it. The comment of each reason states the meaning of ack.value."""
 
     NONE = 0  # nothing is wrong
     NOT_LOADED = 1  # no law is loaded; value 0

@@ -24,7 +24,8 @@ TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 def children(page: Path) -> list[Path]:
     """Pages that the trees of contents of a page name."""
     lines = [line for body in TOCTREE.findall(page.read_text()) for line in body.splitlines()]
-    names = [line for line in lines if line and not line.startswith(":")]
+    # A title may stand before the page: Install <how-to/platforms>.
+    names = [re.sub(r".*<(.*)>$", r"\1", line) for line in lines if line and not line.startswith(":")]
     return [Path(os.path.normpath(page.parent / f"{name}.md")) for name in names]
 
 

@@ -67,7 +67,7 @@ enum class Result : std::uint8_t {
 };
 inline constexpr std::size_t kResultCount = 13;
 
-// Why a law, or a part of one, is refused; what ack.value holds with it.
+// Reasons for refusing a law or a part of it. The comment of each reason states the meaning of ack.value.
 enum class LawError : std::uint8_t {
   none = 0,  // nothing is wrong
   not_loaded = 1,  // no law is loaded; value 0
