@@ -291,3 +291,18 @@ def test_blank_cells_keep_their_columns(separator: str, tmp_path: Path) -> None:
     assert not table.changes
     assert np.isfinite(table.columns["slow"].values).sum() == N // 4
     assert (table.columns["y"].values == 7.5).all()
+
+
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_a_repeated_header_does_not_change_the_numbers(decimal: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    rows = [
+        f"{t:.3f}\t{30.7617 * np.sin(t):.4f}\t{1000 + i}".replace(".", decimal) for i, t in enumerate(T_S)
+    ]
+    path.write_text("\n".join(["t\tx\tn", *rows[:700], "t\tx\tn", *rows[700:]]) + "\n")
+    columns = read_table(path).columns
+    known = np.isfinite(columns["t"].values)
+    assert known.sum() == N
+    assert columns["t"].values[known] == pytest.approx(T_S, abs=1e-9)
+    assert columns["x"].values[known] == pytest.approx(30.7617 * np.sin(T_S), abs=1e-4)
+    assert columns["n"].values[known] == pytest.approx(1000 + np.arange(N))

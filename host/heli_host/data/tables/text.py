@@ -50,6 +50,7 @@ _THOUSANDS: Final = {
     ",": r"^[-+]?\d{1,3}(?:[.'\u2019\s\u202f\u00a0]\d{3})+(?:,\d*)?$",
 }
 """Numbers with separators of thousands, by decimal mark."""
+_COMMA_NUMBER: Final = r"^[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?$"
 _LABELLED: Final = r"^([^\d+\-.]*)([-+]?\d[\d,.']*(?:[eE][-+]?\d+)?)([^\d]*)$"
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
 
@@ -185,6 +186,12 @@ def _numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
 
     values = pandas.to_numeric(cells, errors="coerce").to_numpy(np.float64, copy=True)
     unread = ~np.isfinite(values) & cells.notna().to_numpy()
+    if unread.any() and dialect.decimal == ",":
+        # One cell of text, as in a repeated header, keeps pandas from reading the decimal commas of a column.
+        plain = cells[unread].astype(str).str.strip()
+        plain = plain.where(plain.str.match(_COMMA_NUMBER)).str.replace(",", ".")
+        values[unread] = pandas.to_numeric(plain, errors="coerce").to_numpy(np.float64)
+        unread = ~np.isfinite(values) & cells.notna().to_numpy()
     if not unread.any():
         return values, ""
     text = cells[unread].astype(str).str.strip()
@@ -196,7 +203,8 @@ def _numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
     is_labelled = parts[1].notna()
     labels = (parts[0].fillna("").str.strip() + "|" + parts[2].fillna("").str.strip()).where(is_labelled)
     if (
-        unread.mean() < _LABEL_SHARE
+        (labels == "|").mean() > 1.0 - _LABEL_SHARE
+        or unread.mean() < _LABEL_SHARE
         or is_labelled.mean() < _LABEL_SHARE
         or parts[1].nunique() < _MIN_DISTINCT
     ):
@@ -205,10 +213,7 @@ def _numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
     same = labels == label.iloc[0]
     if same.mean() < _LABEL_SHARE:
         return values, ""
-    numbers = parts[1].where(same)
-    if dialect.decimal == "," and not numbers.str.contains(".", regex=False).any():
-        numbers = numbers.str.replace(",", ".")
-    values[unread] = _without_thousands(numbers, dialect)
+    values[unread] = _without_thousands(parts[1].where(same), dialect)
     return values, unit_of(label.iloc[0].partition("|")[2])
 
 
