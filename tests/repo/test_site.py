@@ -45,6 +45,14 @@ def test_every_page_is_in_one_of_the_five_folders() -> None:
     assert outside == {"index.md", "course/README.md"}
 
 
+@pytest.mark.parametrize("name", ["overview", "rig"])
+def test_a_drawing_is_that_of_its_program(tmp_path: Path, name: str) -> None:
+    drawn = tmp_path / f"{name}.svg"
+    program = DOCS / "figures" / f"{name}.py"
+    subprocess.run([sys.executable, str(program), str(drawn)], check=True)
+    assert drawn.read_text() == program.with_suffix(".svg").read_text()
+
+
 @pytest.mark.documents
 def test_the_site_builds_without_a_warning_and_its_search_finds_answers(tmp_path: Path) -> None:
     # The reference of the Python API is most of the work.
