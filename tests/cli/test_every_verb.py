@@ -105,7 +105,7 @@ ENDED = {
         "motors",
         "paper",
     ),
-    *("params", "plot", "pool", "ports", "rig", "setpoint", "tune", "twin", "watch", "web"),
+    *("params", "plot", "pool", "ports", "predict", "rig", "setpoint", "tune", "twin", "watch", "web"),
 }
 """Verbs that serve nobody: they read and write files, or talk to a board as `fly` and `record` do."""
 SHORT = 'title = "Short"\n[[segment]]\nkind = "hold"\nduration_s = 6\n'

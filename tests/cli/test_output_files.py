@@ -45,6 +45,7 @@ OUTPUTS = {
     "tune": "tune makki2024 {option}",
     "web": "web {option}",
     "twin": "twin {log} {option}",
+    "predict": "predict {log} {option}",
     "params list": "params list --sil {option}",
     "params get": "params get hover_V --sil {option}",
     "params set": "params set hover_V 2 --sil {option}",

@@ -81,6 +81,19 @@ def test_evidence_is_the_ratio_of_two_gaussian_densities(name: str) -> None:
     assert candidate_of(ratio, name).log_evidence == pytest.approx(expected_nats)
 
 
+def test_a_scale_in_flight_needs_more_evidence_than_one_from_the_start() -> None:
+    """A decoder that counts half the edges is there from the start; in flight, few lines get lost."""
+    name, blocks, std = "encoder_scale.travel", 100, 0.1
+    sensitivities = np.zeros((blocks, 3, COLUMNS))
+    sensitivities[:, 2, columns_of(name)] = blocks**-0.5 / std
+    ratio = ratio_with_one_onset(-0.4 * sensitivities[:, :, columns_of(name)][:, :, 0], sensitivities)
+    in_flight = candidate_of(ratio, name)
+    from_start = next(entry for entry in ratio.ranking(from_start=True) if entry.change.id == name)
+    # The likelihood alone has the size -0.4 and 8 nats.
+    assert from_start.size == pytest.approx(-0.4, rel=0.05) and from_start.log_evidence > 5.0
+    assert in_flight.size > -0.05 and in_flight.log_evidence < 1.0
+
+
 def test_the_evidence_of_a_positive_change_is_an_integral_over_positive_sizes() -> None:
     rng = np.random.default_rng(2)
     innovations, sensitivities = rng.normal(size=(5, 3)), rng.normal(size=(5, 3, COLUMNS))

@@ -13,6 +13,7 @@ from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.watch import learn
 from heli_lab.watch.calibration import DEFAULT_CALIBRATION, Calibration, Tail, open_rig, write_calibration
 from heli_lab.watch.learn import FollowedFlight
+from heli_lab.watch.model_check import PieceVariance
 from heli_lab.watch.twin_model import ParameterUncertainty
 
 CALIBRATION = Calibration(
@@ -31,6 +32,7 @@ CALIBRATION = Calibration(
         low_V=np.array([1.5, -0.5]),
         high_V=np.array([4.0, 5.0]),
     ),
+    piece_variance=PieceVariance(np.array([1.5, 0.5, 2.0]), 50.0),
 )
 
 
@@ -42,6 +44,8 @@ def test_a_twin_file_keeps_the_calibration(tmp_path: Path) -> None:
     assert twin_rig.rig.name == "quanser-course"
     assert read.tail == written.tail and read.source == written.source
     assert np.array_equal(read.disturbances.fast_std, written.disturbances.fast_std)
+    assert read.piece_variance.pieces == written.piece_variance.pieces
+    assert np.array_equal(read.piece_variance.variance, written.piece_variance.variance)
     assert read.uncertainty.names == written.uncertainty.names
     assert read.uncertainty.supply_std == written.uncertainty.supply_std
     for name in ("covariance", "low_V", "high_V"):
@@ -72,6 +76,8 @@ def test_a_rig_without_a_twin_file_has_the_default_calibration() -> None:
         ("  [4e-06, 1e-05],\n", "", "parameters.covariance does not have 2 rows"),
         ("supply_std = 0.03", "supply_std = inf", "parameters.supply_std"),
         ("low_V = [1.5, -0.5]", "low_V = [1.5]", "parameters.low_V"),
+        ("piece_variance = [1.5", "piece_variance = [-1.5", "innovations.piece_variance"),
+        ("pieces = 50", "pieces = 0", "innovations.pieces"),
     ],
 )
 def test_a_mistake_in_a_file_is_reported(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -130,7 +136,9 @@ def test_a_twin_file_that_was_learned_from_a_flight_can_be_used(
     learned = open_rig(str(twin_file))
     assert learned.rig.name == "makki2024"
     assert run(["twin", str(log), "--rig", "quanser-course", "--to", "9"]) == 0
-    assert "is a flight of rig makki2024, but the twin is of rig quanser-course" in capsys.readouterr().out
+    printed_of_other_rig = capsys.readouterr().out
+    assert "is a flight of rig makki2024, but the twin is of rig quanser-course" in printed_of_other_rig
+    assert "this twin has learned no flight of this machine" in printed_of_other_rig
     assert learned.calibration.source == "monday.mcap"
     # A minute of flight supports one false alarm in two hours.
     assert learned.calibration.tail.healthy_s == pytest.approx(60.0)

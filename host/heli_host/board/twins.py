@@ -42,8 +42,8 @@ class TwinNews:
 
     kind: str
     """``free`` when it begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has changed,
-    ``diagnosed`` with the final ranking of causes. ``contradicts`` when the flight contradicts the model
-    from the start, ``failed`` when the twin itself failed."""
+    ``diagnosed`` with the final ranking of causes. ``fits`` when the first seconds agree with the model,
+    ``contradicts`` when the flight contradicts it, ``failed`` when the twin itself failed."""
     tick: int  # Device time [tick of 1 ms], unwrapped beyond 2^32
     text: str  # Message for people
 

@@ -103,6 +103,8 @@ def twin(
         for path in flights or ():
             bar.show(f"following {path.name}", 0.9)
             reports.append(monitor_file(twin_rig, path, false_alarm_interval_h, start_s, stop_s))
+    if reports:
+        say(*_fit_lines(twin_rig, reports, false_alarm_interval_h))
     for report in reports:
         say(*_report_lines(report, twin_rig))
     if nominal_paths and has_few_disturbances(twin_rig.calibration.disturbances):
@@ -143,6 +145,22 @@ def _calibrated(
         calibration = replace(twin_rig.calibration, disturbances=disturbances, uncertainty=uncertainty)
         return replace(twin_rig, calibration=calibration)
     return twin_rig
+
+
+def _fit_lines(twin_rig: TwinRig, reports: Sequence[TwinReport], false_alarm_interval_h: float) -> list[str]:
+    """State whether the model fits this machine well enough for the accepted rate of false alarms."""
+    lines = []
+    if not twin_rig.calibration.has_learned:
+        lines.append(
+            f"this twin has learned no flight of this machine: one false alarm in {false_alarm_interval_h:g} "
+            "h holds for simulated flights with weak disturbances; train it with --nominal FLIGHT and --learn"
+        )
+    too_short = "the flight is too short to check whether the model fits"
+    return lines + [
+        f"{report.label}: {report.fit or too_short}"
+        for report in reports
+        if not any(event.kind == "contradicts" for event in report.events)
+    ]
 
 
 def _report_lines(report: TwinReport, twin_rig: TwinRig) -> list[str]:
@@ -192,6 +210,7 @@ def _json_object(
         "flights": [
             {
                 "flight": report.label,
+                "fit": report.fit,
                 "free_s": report.free_s,
                 "unjudged_s": report.unjudged_s,
                 "max_evidence_nats": report.max_evidence_nats,

@@ -26,6 +26,7 @@ from scipy.stats import genpareto
 from heli_lab.errors import TwinError
 from heli_lab.fit.flight_model import DISTURBANCE_START
 from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.watch.model_check import STATED, PieceVariance
 from heli_lab.watch.twin_model import EXACT, ParameterUncertainty
 
 SEGMENT_s: Final = 5.0
@@ -210,6 +211,15 @@ class Calibration:
     source: str = ""  # Flights from which both were estimated
     uncertainty: ParameterUncertainty = EXACT
     """Errors of the rig's parameters, as far as these flights leave them open."""
+    piece_variance: PieceVariance = STATED
+    """Variance of the innovations' sums over 1 s in these flights, which the tail contains."""
+
+    @property
+    def has_learned(self) -> bool:
+        """Whether flights of the machine set the disturbances; otherwise, the rate of false alarms holds for
+        simulated flights.
+        """
+        return self.uncertainty is not EXACT
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
         """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`.
@@ -239,7 +249,16 @@ def _calibration_text(calibration: Calibration, rig: str) -> str:
         f"{disturbance_lines}\n"
         "[tail]\n"
         f"{tail_lines}"
-    ) + _uncertainty_text(calibration.uncertainty)
+    ) + (_piece_variance_text(calibration.piece_variance) + _uncertainty_text(calibration.uncertainty))
+
+
+def _piece_variance_text(measured: PieceVariance) -> str:
+    """Return the table [innovations] of a twin file; empty if no flight was learned."""
+    if measured is STATED:
+        return ""
+    return (
+        f"\n[innovations]\npiece_variance = {_toml_list(measured.variance)}\npieces = {measured.pieces:g}\n"
+    )
 
 
 def _uncertainty_text(uncertainty: ParameterUncertainty) -> str:
@@ -270,7 +289,21 @@ def _parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
         _parse_tail(_table_of(data, "tail", name), name),
         str(data.get("source", "")),
         _parse_uncertainty(_table_of(data, "parameters", name), name) if "parameters" in data else EXACT,
+        _parse_piece_variance(_table_of(data, "innovations", name), name)
+        if "innovations" in data
+        else STATED,
     )
+
+
+def _parse_piece_variance(table: Mapping[str, Any], name: str) -> PieceVariance:
+    """Read the table [innovations] of a twin file."""
+    variance = _number_array(table.get("piece_variance"), _AXES, f"{name}: innovations.piece_variance")
+    pieces = table.get("pieces")
+    if not np.all(variance > 0.0):
+        raise TwinError(f"{name}: innovations.piece_variance is not {_AXES} positive numbers", _REMEDY)
+    if not _is_positive(pieces):
+        raise TwinError(f"{name}: innovations.pieces is not a positive number", _REMEDY)
+    return PieceVariance(variance, float(table["pieces"]))
 
 
 def _parse_disturbances(table: Mapping[str, Any], name: str) -> DisturbanceModel:

@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,7 @@ from heli_lab.fit.innovations import InnovationsModel
 from heli_lab.fit.linearised_flight import BLOCK_s, LinearisedFlight
 from heli_lab.fit.normal_equations import posterior_step
 from heli_lab.fit.records import Record, prepare
+from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 from heli_lab.simulated_board import connected, fly_and_read, set_hover, world_of
 from heli_lab.watch.calibration import DEFAULT_DISTURBANCES, Calibration, Tail, fit_tail
 from heli_lab.watch.likelihood_ratio import (
@@ -47,6 +48,7 @@ from heli_lab.watch.likelihood_ratio import (
     PersistentEvidence,
     WINDOW_s,
 )
+from heli_lab.watch.model_check import PIECE, piece_variance
 from heli_lab.watch.steps import count_rad_of, samples_of
 from heli_lab.watch.twin import FILTER_SETTLING_s, Twin
 from heli_lab.watch.twin_model import SUPPLY_STD, ParameterUncertainty, TwinModel
@@ -124,22 +126,12 @@ def learn_rig(
     The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
     tolerances of the rig file are the priors.
     """
-    twin_model = TwinModel(model, rig).model
-    records = [prepare(flight, rig, label) for flight, label in zip(healthy, labels, strict=True)]
-    references = [filter_record(record) for record in records]
-    # First estimate the disturbances and the constants of each flight, with the rig's parameters fixed.
-    all_parameters = RigParameters(twin_model, rig, records)
-    names = twin_model.parameter_names
-    rig_values = dict(zip(names, twin_model.parameter_values(rig), strict=True))
-    shared = [parameter.quantity for parameter in all_parameters.free if parameter.record is None]
-    fixed = {name: float(rig_values[name]) for name in shared}
-    flight_constants = RigParameters(twin_model, rig, records, fixed)
-    functions = model_functions(twin_model, flight_constants.quantities)
-    constants = estimate(flight_constants, references, functions, flight_constants.start)
-    count_rad = np.min([count_rad_of(flight, rig) for flight in healthy], axis=0)
-    disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
-    # Then compute the covariance of all parameters at these estimates. The rig's parameters are the first.
-    theta = np.concatenate(([fixed[name] for name in shared], constants.theta))
+    of_flights = _with_fixed_rig(model, rig, healthy, labels)
+    twin_model, records, references = of_flights.model, of_flights.records, of_flights.references
+    disturbances = of_flights.disturbances
+    # Compute the covariance of all parameters at these estimates. The rig's parameters are the first.
+    all_parameters, shared = of_flights.all_parameters, list(of_flights.fixed)
+    theta = np.concatenate((list(of_flights.fixed.values()), of_flights.constants))
     functions = model_functions(twin_model, all_parameters.quantities)
     linearised = [
         LinearisedFlight(reference, functions, all_parameters.parameters(theta, index))
@@ -157,6 +149,45 @@ def learn_rig(
     covariance = posterior.covariance[: len(shared), : len(shared)]
     low_V, high_V = _known_voltages(records)
     return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
+
+
+class _FixedRigEstimate(NamedTuple):
+    """Disturbances and constants of flights, estimated with the parameters of the rig fixed."""
+
+    model: Model  # Equations without random disturbances
+    records: list[Record]
+    references: list[ReferenceTrajectory]
+    all_parameters: RigParameters  # Parameters of the rig, then the constants of each flight
+    fixed: dict[str, float]  # Value of each parameter of the rig
+    constants: Floats  # Estimated encoder zeros and constant torques of each flight
+    disturbances: DisturbanceModel
+
+
+def _with_fixed_rig(
+    model: Model, rig: Rig, flights: Sequence[Flight], labels: Sequence[str]
+) -> _FixedRigEstimate:
+    """Estimate the disturbances and the constants of each flight."""
+    twin_model = TwinModel(model, rig, changes=()).model
+    records = [prepare(flight, rig, label) for flight, label in zip(flights, labels, strict=True)]
+    references = [filter_record(record) for record in records]
+    all_parameters = RigParameters(twin_model, rig, records)
+    names = twin_model.parameter_names
+    rig_values = dict(zip(names, twin_model.parameter_values(rig), strict=True))
+    shared = [parameter.quantity for parameter in all_parameters.free if parameter.record is None]
+    fixed = {name: float(rig_values[name]) for name in shared}
+    flight_constants = RigParameters(twin_model, rig, records, fixed)
+    functions = model_functions(twin_model, flight_constants.quantities)
+    constants = estimate(flight_constants, references, functions, flight_constants.start)
+    count_rad = np.min([count_rad_of(flight, rig) for flight in flights], axis=0)
+    disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
+    return _FixedRigEstimate(
+        twin_model, records, references, all_parameters, fixed, constants.theta, disturbances
+    )
+
+
+def learn_disturbances(model: Model, rig: Rig, flight: Flight, label: str) -> DisturbanceModel:
+    """Estimate the disturbances of a flight with the parameters of the rig fixed."""
+    return _with_fixed_rig(model, rig, [flight], [label]).disturbances
 
 
 def _known_voltages(records: Sequence[Record]) -> tuple[Floats, Floats]:
@@ -208,7 +239,13 @@ def learn(
             f"draws along {labels[number]}", _EVIDENCE_SHARE + (1.0 - _EVIDENCE_SHARE) * number / len(healthy)
         )
         histories += drawn_evidence(twin, disturbances, flight, draws)
-    return Calibration(disturbances, fit_tail(histories, healthy_s), ", ".join(labels), uncertainty)
+    return Calibration(
+        disturbances,
+        fit_tail(histories, healthy_s),
+        ", ".join(labels),
+        uncertainty,
+        piece_variance(np.vstack(innovations)),
+    )
 
 
 def _calibrate_by_simulation(model: Model, rig: Rig, seed: int, say: Say) -> Calibration:
@@ -231,9 +268,6 @@ def _calibrate_by_simulation(model: Model, rig: Rig, seed: int, say: Say) -> Cal
     return Calibration(DEFAULT_DISTURBANCES, fit_tail(histories), source)
 
 
-_PIECE: Final = 25
-"""Length of the pieces of innovations, in measurements: 1 s. Longer: few different draws from half a minute
-of flight. Shorter: the innovations lose the dependence that a model with small errors leaves in them."""
 _DAY_STD: Final = 0.1
 """Standard deviation of the logarithm of the size of a day's innovations. By judgement: half a minute of
 flight leaves it open to 0.05, and days differ. Each draw is a day. Larger: weak changes stay hidden.
@@ -264,7 +298,7 @@ class Draws:
         if not self._rows_left_in_piece:
             self._row = self._rng.integers(len(self._innovations), size=self.count)
             self._sign = self._rng.choice((-1.0, 1.0), size=self.count)
-            self._rows_left_in_piece = _PIECE
+            self._rows_left_in_piece = PIECE
         self._rows_left_in_piece -= 1
         # A piece that reaches the last row continues with the first one.
         measured = self._innovations[self._row % len(self._innovations)]
@@ -273,10 +307,10 @@ class Draws:
 
 
 def _near_kicks(innovations: Floats) -> npt.NDArray[np.bool_]:
-    """Whether each row of innovations, (n, 3), is within `_PIECE` rows of a kick; False if all rows are."""
+    """Whether each row of innovations, (n, 3), is within `PIECE` rows of a kick; False if all rows are."""
     kicks = np.flatnonzero(np.any(np.abs(innovations) > CUT_OFF_STD, axis=1))
     rows = np.arange(len(innovations))
-    is_near = np.any(np.abs(rows[:, None] - kicks) <= _PIECE, axis=1)
+    is_near = np.any(np.abs(rows[:, None] - kicks) <= PIECE, axis=1)
     return is_near if not is_near.all() else np.zeros(len(rows), bool)
 
 

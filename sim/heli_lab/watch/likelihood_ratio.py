@@ -92,6 +92,15 @@ class _Estimates(NamedTuple):
     determinant: Floats  # (changes, onsets): det(1 + P S)
 
 
+def _prior_precision(sizes: Sequence[tuple[float, ...]]) -> Floats:
+    """Return the prior precision of the first and the second parameter of each change, (2, changes).
+
+    Without a second parameter, any precision will do, because its sums stay zero.
+    """
+    two_sizes = [(*change_sizes, 1.0)[:2] for change_sizes in sizes]
+    return np.array([[size**-2.0 for size in pair] for pair in two_sizes]).T
+
+
 class LikelihoodRatio:
     """Generalised likelihood ratio of every change at every onset, updated with each innovation. `count_rad`
     has shape (3,). `evidence` has shape (changes, onsets).
@@ -111,10 +120,8 @@ class LikelihoodRatio:
         self._second_column: Integers = np.where(has_second, self._first_column + 1, self._first_column)
         self._has_second = has_second[:, None]
         self._change_of_column = np.repeat(np.arange(len(changes)), counts)
-        # Prior precision of the first and the second parameter, (2, changes). Without a second parameter, any
-        # precision will do, because its sums stay zero.
-        two_sizes = [(*change.sizes, 1.0)[:2] for change in changes]
-        self._precision = np.array([[size**-2.0 for size in sizes] for sizes in two_sizes]).T
+        self._precision = _prior_precision([change.sizes for change in changes])
+        self._precision_from_start = _prior_precision([change.sizes_from_start for change in changes])
         self._non_negative = np.array([change.non_negative for change in changes])
         self._is_jump_change = np.array([change.is_jump for change in changes])
         self.is_ramp: npt.NDArray[np.bool_] = np.repeat([change.is_ramp for change in changes], counts)
@@ -192,7 +199,7 @@ class LikelihoodRatio:
         [nats]. Shapes: `value` (3,), `sensitivity` (3, columns, onsets).
         """
         self._add_to_sums(value, sensitivity)
-        evidence = self._evidence_of_onsets()
+        evidence = self._evidence_of_onsets(self._estimates(self._precision))
         evidence_by_draw = evidence.reshape(-1, *self._onset.shape)
         self.evidence, self._last_evidence = evidence_by_draw.max(axis=0), evidence_by_draw[-1]
         self._first_evidence = evidence_by_draw[0]
@@ -209,12 +216,11 @@ class LikelihoodRatio:
         self._s22 += np.where(self._has_second, np.einsum("aho,aho->ho", second, second), 0.0)
         self._b2 += np.where(self._has_second, np.einsum("aho,...a->...ho", second, value), 0.0)
 
-    def _evidence_of_onsets(self) -> Floats:
+    def _evidence_of_onsets(self, estimates: _Estimates) -> Floats:
         """Return the evidence [nats] of each change at each onset, (changes, onsets) or with draws in front.
 
         Unused onsets and jumps of an encoder below the smallest reported one have the evidence -inf.
         """
-        estimates = self._estimates()
         # Log of the Bayes factor with normal priors: 1/2 b' (S + 1/P)^-1 b - 1/2 log det(1 + P S).
         evidence = 0.5 * estimates.quadratic_form - 0.5 * np.log(estimates.determinant)
         # A half-normal prior has twice the density of a normal one, above zero only. The evidence therefore
@@ -225,12 +231,13 @@ class LikelihoodRatio:
         is_candidate = np.isfinite(self._onset) & (np.abs(estimates.size) >= self._min_size)
         return np.where(is_candidate, evidence, -np.inf)
 
-    def _estimates(self) -> _Estimates:
+    def _estimates(self, precision: Floats) -> _Estimates:
         """Solve the normal equations (S + 1/P) v = b of each change at each onset, by Cramer's rule.
 
-        Without a second parameter, its sums are zero and its solution is zero.
+        The `precision` 1/P has shape (2, changes). Without a second parameter, its sums are zero and its
+        solution is zero.
         """
-        precision1, precision2 = self._precision[0][:, None], self._precision[1][:, None]
+        precision1, precision2 = precision[0][:, None], precision[1][:, None]
         a11, a12, a22 = self._s11 + precision1, self._s12, self._s22 + precision2
         determinant = a11 * a22 - a12**2
         size = (a22 * self._b1 - a12 * self._b2) / determinant
@@ -251,19 +258,21 @@ class LikelihoodRatio:
         nearest = int(np.argmin(distance_blocks))
         if not np.isfinite(distance_blocks[nearest]):
             return None
-        return float(self._estimates().std[row, nearest])
+        return float(self._estimates(self._precision).std[row, nearest])
 
-    def ranking(self) -> list[ChangeCandidate]:
+    def ranking(self, *, from_start: bool = False) -> list[ChangeCandidate]:
         """Return all changes, the most likely first.
 
         The evidence of a change is the mean of its likelihood ratios over the onsets, which have the same
-        prior probability. Size and onset are those of the most likely onset. The last draw counts.
+        prior probability. Size and onset are those of the most likely onset. The last draw counts. The priors
+        are those of changes in flight, or of differences with which a flight begins (`from_start`).
         """
-        estimates = self._estimates()
+        estimates = self._estimates(self._precision_from_start if from_start else self._precision)
         size = estimates.size.reshape(-1, *self._onset.shape)[-1]
-        best_places = np.argmax(self._last_evidence, axis=1)
+        evidence = self._evidence_of_onsets(estimates).reshape(-1, *self._onset.shape)[-1]
+        best_places = np.argmax(evidence, axis=1)
         onset_count = max(1, int(np.isfinite(self._onset[0]).sum()))
-        log_evidence = logsumexp(self._last_evidence, axis=1) - np.log(onset_count)
+        log_evidence = logsumexp(evidence, axis=1) - np.log(onset_count)
         candidates = []
         for row, (change, place) in enumerate(zip(self.changes, best_places, strict=True)):
             onset_block = self._onset[row, place]

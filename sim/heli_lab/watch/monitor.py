@@ -57,6 +57,12 @@ class TwinReport:
         """The event with the final ranking of each alarm."""
         return tuple(event for event in self.events if event.kind == "diagnosed")
 
+    @property
+    def fit(self) -> str:
+        """State whether the model fits the beginning of the flight; empty if nothing shows it."""
+        kinds = ("fits", "contradicts")
+        return next((event.text for event in self.events if event.kind in kinds), "")
+
     def sentences(self) -> list[str]:
         """Describe the result for people: the alarms, then what was not judged, then jumps of encoders."""
         if not self.free_s:

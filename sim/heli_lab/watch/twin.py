@@ -26,6 +26,7 @@ from heli_lab.watch.likelihood_ratio import (
     LikelihoodRatio,
     PersistentEvidence,
 )
+from heli_lab.watch.model_check import ModelFit, PieceVariance, compare_with, piece_variance
 from heli_lab.watch.steps import FreeFlight, InputHistory, Samples, Step, Stepper, VoltageRange
 from heli_lab.watch.twin_model import ZEROS, TwinModel, start_state
 
@@ -40,10 +41,15 @@ and the parameters within their covariance. `diagnose` uses the same time. A mod
 early was wrong from the start. Longer: an early change is not named. Shorter: another day's supply is taken
 for a change."""
 _MAX_MEAN_SQUARE: Final = 2.0
-"""Mean square of an axis' innovations in `CALIBRATION_s` above which the model is not this
-rig's; 1 is what the model states. 175 innovations with the outliers of real flights (kurtosis 6) have a
-standard error of 0.17, so chance needs six of them. Larger: flights that no model here explains raise alarms
-later. Smaller: a day with gusts 1.4 times as large contradicts the rig."""
+"""Mean square of an axis' innovations in `CALIBRATION_s` above which the model is not this rig's, whatever
+their sums are; 1 is what the model states. 175 innovations with the outliers of real flights (kurtosis 6)
+have a standard error of 0.17, so chance needs six of them. Larger: flights that no model here explains
+raise alarms later. Smaller: a day with gusts 1.4 times as large contradicts the rig."""
+_MAX_CHANGES: Final = 2
+"""Number of changes that a flight may have. If a third one seems to begin, the model is wrong: a healthy
+measured flight of a machine that the twin had not learned had four alarms in 22 s (2026-11). Larger: a
+wrong model names changes for longer. Smaller: a second change, such as the other rotor of a weak supply, is
+not named."""
 _MIN_SCALE_ERROR: Final = 0.25
 """Error of an encoder's scale that is named even if a flight begins with it: a decoder that counts half the
 edges. Larger: such a decoder is not named. Smaller: a model of another day's rig is taken for one."""
@@ -54,6 +60,11 @@ difference."""
 _RUNS: Final = 10
 """Number of simulations at the same time. More: the ghost moves more smoothly, and takes more time."""
 _NOT_THIS_MODEL: Final = "not this model from the start"
+_IN_FIRST_SECONDS: Final = f"in the first {CALIBRATION_s:g} s, "
+_TOO_MANY_CHANGES: Final = (
+    f"not this model: more than {_MAX_CHANGES} changes seem to follow each other in this flight, so the "
+    "model does not fit this machine well enough for the accepted rate of false alarms"
+)
 _MAX_REPORTED_ODDS: Final = 1000.0
 """Odds above which no number is reported: such odds hold only if the catalogue contains the true cause."""
 _HISTORY_BLOCKS: Final = WINDOW_BLOCKS + math.ceil(DIAGNOSIS_DELAY_s / BLOCK_s) + 1
@@ -68,8 +79,9 @@ class TwinEvent:
     ----------
     kind : str
         ``free`` when the twin begins to compare, ``waits`` when it pauses, ``alarm`` when the rig has
-        changed, ``diagnosed`` with the final ranking. ``contradicts`` when the flight contradicts the model
-        from the start, so that no change is named. ``glitch`` when an encoder jumped and returned.
+        changed, ``diagnosed`` with the final ranking. ``fits`` when the first seconds agree with the model,
+        ``contradicts`` when they do not, or when too many changes follow each other; no change is then named.
+        ``glitch`` when an encoder jumped and returned.
         ``unjudged`` when the flight first leaves the voltages of the nominal flights.
     t_s : float
         Time of the message on the clock of the samples minus its zero [s].
@@ -130,7 +142,7 @@ class Twin:
     threshold_nats : float
         Evidence above which an alarm is raised [nats].
     contradicts : bool
-        True if this flight contradicted the model from the start; the twin then names no change of it.
+        True if this flight contradicts the model; the twin then names no change of it.
     unjudged_blocks : int
         Number of measurements without evidence, because of voltages that the nominal flights do not contain.
     evidence_history : list of (float, float)
@@ -168,6 +180,8 @@ class Twin:
         self._inputs = InputHistory(model, self.step_s)
         self._ghost = _Ghost(model, self.step_s) if with_ghost else None
         self._comparison: _Comparison | None = None
+        self._changes = 0  # Number of alarms since the comparison began
+        self._latest_nats = -math.inf  # Evidence of the comparison before an alarm's final ranking
 
     @property
     def free(self) -> bool:
@@ -184,7 +198,11 @@ class Twin:
         """Log-likelihood ratio of the most likely change against no change [nats]: the smallest of the latest
         measurements; -inf at the beginning and while the twin waits.
         """
-        return -math.inf if self._comparison is None else self._comparison.evidence_nats
+        comparison = self._comparison
+        if comparison is None:
+            return -math.inf
+        # A new comparison has no evidence before its first measurement: that of the alarm is the latest.
+        return comparison.evidence_nats if comparison.block else self._latest_nats
 
     @property
     def ghost_rad(self) -> Floats | None:
@@ -266,7 +284,7 @@ class Twin:
     def _begin_comparison(self, index: int) -> None:
         """Begin to compare at the step `index`, from the motion before it."""
         motion = self._inputs.initial_motion()
-        self.contradicts = False
+        self.contradicts, self._latest_nats, self._changes = False, -math.inf, 0
         if self._ghost is not None:
             self._ghost.begin()
         state = start_state(self.model, motion.times_s, motion.angles_rad, motion.volts_V, self.step_s)
@@ -316,6 +334,7 @@ class Twin:
         elif (comparison.block - alarm.block) * self.block_s >= DIAGNOSIS_DELAY_s:
             yield from self._final_ranking(comparison, t_s)
             if not self.contradicts:
+                self._latest_nats = comparison.evidence_nats
                 self._comparison = self._new_comparison(step.index, comparison.kalman.state, is_changed=True)
             return
         comparison.begin_onset()
@@ -331,23 +350,44 @@ class Twin:
             yield from self._check_model_once(comparison, t_s)
         may_be_glitch = comparison.glitches.alternative is not None
         if comparison.evidence_nats > self.threshold_nats and not self.contradicts and not may_be_glitch:
+            if self._changes == _MAX_CHANGES:
+                yield self._contradict(comparison, t_s, _TOO_MANY_CHANGES)
+                return
             comparison.alarm = _Alarm(comparison.block, is_early)
+            self._changes += 1
             if not is_early:
                 yield self._ranking_event("alarm", comparison, t_s)
 
     def _check_model_once(self, comparison: _Comparison, t_s: float) -> Iterator[TwinEvent]:
-        """Report once, at the end of `CALIBRATION_s`, if the innovations are larger than the model states."""
+        """Report once, at the end of `CALIBRATION_s`, whether the innovations agree with the model."""
         is_due = comparison.block == math.floor(CALIBRATION_s / self.block_s)
         can_raise_alarms = self.threshold_nats != math.inf
-        if is_due and can_raise_alarms and (reason := comparison.model_check.contradiction()):
-            yield self._contradict(comparison, t_s, reason)
+        # An early alarm decides with its final ranking.
+        if not is_due or not can_raise_alarms or self.contradicts or comparison.has_open_alarm:
+            return
+        fit = comparison.model_check.fit(self.calibration.piece_variance)
+        if reason := comparison.model_check.contradiction(fit):
+            yield self._contradict(comparison, t_s, f"{_NOT_THIS_MODEL}: {_IN_FIRST_SECONDS}{reason}")
+        elif fit.is_decided:
+            yield TwinEvent(
+                "fits",
+                t_s,
+                f"the model fits: {_IN_FIRST_SECONDS}its errors over 1 s are at most {fit.ratio:.1f} times "
+                f"as large as expected (chance: up to {fit.chance_ratio:.1f})",
+            )
 
     def _contradict(self, comparison: _Comparison, t_s: float, reason: str) -> TwinEvent:
         """Stop naming changes, because the flight contradicts the model; return the event with the reason."""
         self.contradicts = True
         comparison.alarm = None
-        text = f"{_NOT_THIS_MODEL}: in the first {CALIBRATION_s:g} s, {reason}; no change is named"
-        return TwinEvent("contradicts", t_s, text)
+        return TwinEvent("contradicts", t_s, f"{reason}; no change is named. {self._remedy}")
+
+    @property
+    def _remedy(self) -> str:
+        """State how the model can be made to fit."""
+        if self.calibration.has_learned:
+            return "Identify the rig again, and add a flight of this day to --nominal with --learn"
+        return "Train the twin on nominal flights of this machine with --nominal and --learn"
 
     def _stop_comparison(self, t_s: float, reason: str) -> Iterator[TwinEvent]:
         """Rank an open alarm, and stop the comparison."""
@@ -366,10 +406,12 @@ class Twin:
         if alarm is None or alarm.is_diagnosed:
             return
         if alarm.is_early:
-            most_likely = comparison.evidence.ratio.ranking()[0]
+            most_likely = comparison.evidence.ratio.ranking(from_start=True)[0]
             if not most_likely.change.is_scale or abs(most_likely.size) < _MIN_SCALE_ERROR:
                 evidence_text = f"the flight contradicts the rig by {comparison.evidence_nats:.0f} nats"
-                yield self._contradict(comparison, t_s, evidence_text)
+                yield self._contradict(
+                    comparison, t_s, f"{_NOT_THIS_MODEL}: {_IN_FIRST_SECONDS}{evidence_text}"
+                )
                 return
             yield self._ranking_event("alarm", comparison, t_s)
         alarm.is_diagnosed = True
@@ -377,8 +419,10 @@ class Twin:
 
     def _ranking_event(self, kind: str, comparison: _Comparison, t_s: float) -> TwinEvent:
         """Return an event of the alarm of a comparison, with the present ranking of the changes."""
-        ranking = tuple(comparison.evidence.ratio.ranking())
-        alarm_block = 0 if comparison.alarm is None else comparison.alarm.block
+        alarm = comparison.alarm
+        is_early = alarm is not None and alarm.is_early
+        ranking = tuple(comparison.evidence.ratio.ranking(from_start=is_early))
+        alarm_block = 0 if alarm is None else alarm.block
         onset_s = self._block_end_s(comparison, ranking[0].onset_block)
         alarm_s = self._block_end_s(comparison, alarm_block)
         text = f"alarm at {alarm_s:.1f} s. Most likely: {_format_ranking(ranking, onset_s)}."
@@ -451,7 +495,7 @@ class _Comparison:
         before = self.glitches.copies(self.kalman, self.evidence.ratio) if watches else None
         innovation = self._update_filter(self.kalman, self.evidence.ratio, step, inputs, is_judged)
         if innovation is not None:
-            if is_judged and self.age_s > FILTER_SETTLING_s:
+            if is_judged and FILTER_SETTLING_s < self.age_s <= CALIBRATION_s:
                 self.model_check.add(innovation.value)
             nats = self.evidence.add(innovation, t_s)
             # The evidence stays unchanged while an encoder may still return from a jump.
@@ -510,27 +554,34 @@ class _Comparison:
 
 
 class _ModelCheck:
-    """Mean square of the innovations of each axis since the filter began."""
+    """The innovations of each axis in `CALIBRATION_s`, and whether they agree with the model."""
 
     def __init__(self) -> None:
-        self._squares: Floats = np.zeros(3)
-        self._count = 0
+        self._innovations: list[Floats] = []
 
     def add(self, innovation: Floats) -> None:
         """Add an `innovation`, (3,), in standard deviations."""
-        self._squares += innovation**2
-        self._count += 1
+        self._innovations.append(innovation)
 
-    def contradiction(self) -> str:
+    def fit(self, expected: PieceVariance) -> ModelFit:
+        """Compare the sums of the innovations over 1 s with those for which the threshold was set."""
+        return compare_with(expected, piece_variance(np.array(self._innovations).reshape(-1, 3)))
+
+    def contradiction(self, fit: ModelFit) -> str:
         """Describe the axis whose innovations are too large; empty if none are, or none were added."""
-        if not self._count:
+        if not self._innovations:
             return ""
-        mean_square = self._squares / self._count
+        mean_square = np.mean(np.square(self._innovations), axis=0)
         worst_axis = int(np.argmax(mean_square))
-        if not mean_square[worst_axis] > _MAX_MEAN_SQUARE:
+        if mean_square[worst_axis] > _MAX_MEAN_SQUARE:
+            rms = mean_square[worst_axis] ** 0.5
+            return f"{AXES[worst_axis]} differs from its predictions by {rms:.1f} times the stated deviation"
+        if fit.fits:
             return ""
-        rms = mean_square[worst_axis] ** 0.5
-        return f"{AXES[worst_axis]} differs from its predictions by {rms:.1f} times the stated deviation"
+        return (
+            f"the errors about {fit.axis} over 1 s are {fit.ratio:.1f} times as large as expected (chance: "
+            f"up to {fit.chance_ratio:.1f}), so the accepted rate of false alarms does not hold"
+        )
 
 
 class _AngleHistory:

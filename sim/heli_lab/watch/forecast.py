@@ -1,0 +1,449 @@
+"""Forecasts of a flight from its present state, compared with the measured angles.
+
+At each start, a filter that knows the flight only up to there has estimated the state, the encoder zeros
+and the torques. From this state the model is simulated with the voltages that acted. Fast disturbances
+decay during a forecast, slow ones stay. A free run of `heli_lab.explain.prediction` instead starts from the
+state that fits the predicted window best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from heli_host.data.arrays import Floats, Integers
+from heli_host.data.files import save_figure
+from heli_host.data.flight import Flight
+from heli_sim.evaluate.trajectories import Trajectory
+from heli_sim.model.base import Model
+from heli_sim.model.effect import AXES
+from heli_sim.rig import Rig
+
+from heli_lab.errors import TwinError
+from heli_lab.explain.prediction import ErrorReduction, WindowErrors, error_reduction
+from heli_lab.fit import _kalman
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.linearised_flight import BLOCK_s
+from heli_lab.watch.kalman_filter import KalmanFilter
+from heli_lab.watch.likelihood_ratio import ONSETS
+from heli_lab.watch.steps import FreeFlight, InputHistory, Samples, Step, Stepper, count_rad_of, samples_of
+from heli_lab.watch.twin_model import EXACT, TwinModel, start_state
+
+HORIZONS_s: Final = (0.2, 0.5, 1.0, 2.0, 5.0)
+"""Horizons of the forecasts [s]."""
+_PATH_EVERY_s: Final = 0.1
+"""Time between the points of a forecast that are kept [s]; all horizons are multiples of it."""
+START_EVERY_s: Final = 0.2
+"""Time between the starts of two forecasts [s]: the shortest horizon."""
+_SETTLE_s: Final = 5.0
+"""Time for which the filter estimates zeros and torques before the first forecast [s]. Shorter: their
+errors are errors of the model. Longer: short flights have few forecasts."""
+_RESAMPLED_s: Final = 5.0
+"""Length of the parts of a flight that the bootstrap resamples [s]: the longest horizon, because forecasts
+over the same seconds share their errors."""
+_TAIL: Final = 0.01
+"""Share of voltages and rates beyond each end of the range that is stated."""
+_AXIS_COUNT: Final = 3
+
+
+@dataclass(frozen=True)
+class Forecasts:
+    """Forecasts of one flight by one model. A horizon at which the flight was not measured is nan."""
+
+    label: str  # Name of the flight
+    start_s: Floats  # (k,): Time of each start on the clock of the flight [s]
+    start_rad: Floats  # (k, 3): Measured angles at each start [rad]
+    measured_rad: Floats  # (k, horizons, 3): Measured angles at each horizon [rad]
+    path_s: Floats  # (p,): Times of the points of a forecast since its start [s]
+    path_rad: Floats  # (k, p, 3): Angles that the model predicts at these times [rad]
+    range_V: Floats  # (2, 2): Lowest and highest voltage of both rotors during the forecasts [V]
+    range_rad_s: Floats  # (2, 3): Lowest and highest rate of each axis [rad/s]
+
+    def squares_rad2(self, horizon: int) -> Floats:
+        """Return the squared errors at a horizon, (k, 3) [rad2]."""
+        point = round(HORIZONS_s[horizon] / _PATH_EVERY_s)
+        return np.asarray((self.path_rad[:, point] - self.measured_rad[:, horizon]) ** 2)
+
+    def persistence_rad2(self, horizon: int) -> Floats:
+        """Return the squared errors of the forecast that nothing changes, (k, 3) [rad2]."""
+        return np.asarray((self.start_rad - self.measured_rad[:, horizon]) ** 2)
+
+
+class _Start(NamedTuple):
+    """The present of a forecast, as the filter estimates it."""
+
+    step: int  # Number of the step in which it begins
+    state: Floats  # (states,)
+    steady_torque_Nm: Floats  # (3,): Drift and constant torque
+    gust_Nm: Floats  # (3,): Fast disturbance
+    zero_rad: Floats  # (2,): Errors of the encoder zeros
+
+
+class _FilteredFlight(NamedTuple):
+    """A flight in steps, and the starts of its forecasts."""
+
+    step_s: float
+    starts: list[_Start]
+    motor_time_s: Floats  # (n,): Time since the motors started at each step [s]
+    acting_V: Floats  # (n, 2): Acting voltages in each step [V]
+    measured_rad: Floats  # (n, 3): Measured angles at the beginning of each step [rad]; nan without samples
+    segment: Integers  # (n,): Number of the comparison to which each step belongs; -1 if the arm is not free
+    time_s: Floats  # (n,): Time of each step on the clock of the flight [s]
+
+
+def forecasts_of(
+    model: Model,
+    rig: Rig,
+    disturbances: DisturbanceModel,
+    flight: Flight,
+    label: str,
+    span_s: tuple[float | None, float | None] = (None, None),
+) -> Forecasts:
+    """Forecast a flight with the equations `model` and the parameters of `rig`.
+
+    The `disturbances` decide how much the filter believes a measurement. A TwinError is raised if the part
+    of the flight between the times `span_s` is too short.
+    """
+    samples, sample_s = samples_of(flight)
+    zero_s = float(samples.number[0]) * sample_s - float(flight.t_s[0])
+    twin = TwinModel(model, rig, EXACT, changes=())
+    filtered = _filter_flight(
+        twin, disturbances, count_rad_of(flight, rig), samples, sample_s, zero_s, span_s
+    )
+    if not filtered.starts:
+        raise TwinError(
+            f"{label} has less than {_SETTLE_s + HORIZONS_s[0]:g} s of uninterrupted free flight to forecast",
+            "give a longer flight, or a wider part of it with --from and --to",
+        )
+    path_s = np.arange(round(HORIZONS_s[-1] / _PATH_EVERY_s) + 1) * _PATH_EVERY_s
+    path_rad = _simulate(twin, disturbances, filtered, path_s)
+    first = np.array([start.step for start in filtered.starts])
+    measured_rad = np.full((len(first), len(HORIZONS_s), _AXIS_COUNT), np.nan)
+    for horizon, horizon_s in enumerate(HORIZONS_s):
+        steps = round(horizon_s / filtered.step_s)
+        rows = np.minimum(first + steps, len(filtered.segment) - 1)
+        is_free = (first + steps < len(filtered.segment)) & (
+            filtered.segment[rows] == filtered.segment[first]
+        )
+        measured_rad[is_free, horizon] = filtered.measured_rad[rows[is_free]]
+    used = filtered.segment >= 0
+    rates_rad_s = np.array([start.state[_AXIS_COUNT : 2 * _AXIS_COUNT] for start in filtered.starts])
+    ends = [_TAIL, 1.0 - _TAIL]
+    return Forecasts(
+        label,
+        filtered.time_s[first],
+        filtered.measured_rad[first],
+        measured_rad,
+        path_s,
+        path_rad,
+        range_V=np.quantile(filtered.acting_V[used], ends, axis=0),
+        range_rad_s=np.quantile(rates_rad_s, ends, axis=0),
+    )
+
+
+def _filter_flight(
+    twin: TwinModel,
+    disturbances: DisturbanceModel,
+    count_rad: Floats,
+    samples: Samples,
+    sample_s: float,
+    zero_s: float,
+    span_s: tuple[float | None, float | None],
+) -> _FilteredFlight:
+    """Filter a flight, and keep the estimate of the present every `START_EVERY_s`."""
+    stepper = Stepper(sample_s)
+    steps = list(stepper.update(samples))
+    step_s = stepper.step_s
+    free_flight, inputs = FreeFlight(twin.rig, step_s), InputHistory(twin, step_s)
+    first_s = -np.inf if span_s[0] is None else span_s[0]
+    last_s = np.inf if span_s[1] is None else span_s[1]
+    # Missing steps stay nan, and belong to no segment.
+    count = steps[-1].index - steps[0].index + 1 if steps else 0
+    offset = steps[0].index if steps else 0
+    filtered = _FilteredFlight(
+        step_s,
+        [],
+        motor_time_s=np.zeros(count),
+        acting_V=np.zeros((count, 2)),
+        measured_rad=np.full((count, 3), np.nan),
+        segment=np.full(count, -1),
+        time_s=(np.arange(count) + offset) * step_s - zero_s,
+    )
+    runner = _Runner(twin, disturbances, count_rad, step_s, filtered.starts)
+    for step in steps:
+        row = step.index - offset
+        t_s = float(filtered.time_s[row])
+        if step.after_gap:
+            runner.kalman = None
+            inputs.restart()
+        inputs.update(step, t_s)
+        is_free = free_flight.update(step.measured_rad, step.flying) and not step.landing
+        if step.measured_rad is not None:
+            inputs.remember(step.measured_rad)
+            filtered.measured_rad[row] = step.measured_rad
+        elif runner.kalman is None:
+            inputs.forget_motion()
+        filtered.motor_time_s[row], filtered.acting_V[row] = inputs.motor_time_s, inputs.acting_V
+        if is_free and first_s <= t_s < last_s:
+            filtered.segment[row] = runner.advance(step, row, inputs)
+        else:
+            runner.kalman = None
+    return filtered
+
+
+class _Runner:
+    """Filters free flight step by step, and keeps the starts of forecasts."""
+
+    def __init__(
+        self,
+        twin: TwinModel,
+        disturbances: DisturbanceModel,
+        count_rad: Floats,
+        step_s: float,
+        starts: list[_Start],
+    ) -> None:
+        self._twin, self._disturbances, self._count_rad = twin, disturbances, count_rad
+        self._step_s, self._starts = step_s, starts
+        self._steps_per_block = max(1, round(BLOCK_s / step_s))
+        self._start_blocks = max(1, round(START_EVERY_s / (self._steps_per_block * step_s)))
+        self.kalman: KalmanFilter | None = None
+        self._first_row, self._segment = 0, -1
+
+    def advance(self, step: Step, row: int, inputs: InputHistory) -> int:
+        """Filter a free step; return the number of its segment, -1 before the filter begins."""
+        if self.kalman is None:
+            if step.measured_rad is None:
+                return -1
+            self._begin(row, inputs)
+        kalman = self.kalman
+        assert kalman is not None
+        block, rest = divmod(row - self._first_row, self._steps_per_block)
+        if block and not rest:
+            self._measure(kalman, step, inputs)
+            age_s = (row - self._first_row) * self._step_s
+            if block % self._start_blocks == 0 and age_s >= _SETTLE_s and step.measured_rad is not None:
+                gust_Nm = kalman.torque_Nm - kalman.steady_torque_Nm
+                self._starts.append(
+                    _Start(
+                        row,
+                        kalman.state.copy(),
+                        kalman.steady_torque_Nm,
+                        gust_Nm,
+                        kalman.zero_rad.copy(),
+                    )
+                )
+        kalman.predict(inputs.motor_time_s, inputs.acting_V)
+        return self._segment
+
+    def _begin(self, row: int, inputs: InputHistory) -> None:
+        motion = inputs.initial_motion()
+        state = start_state(self._twin, motion.times_s, motion.angles_rad, motion.volts_V, self._step_s)
+        self.kalman = KalmanFilter(
+            self._twin, self._disturbances, self._count_rad, self._step_s, self._steps_per_block, state
+        )
+        self._first_row = row
+        self._segment += 1
+
+    def _measure(self, kalman: KalmanFilter, step: Step, inputs: InputHistory) -> None:
+        no_changes: Floats = np.empty((0, ONSETS))
+        kalman.propagate_sensitivity(no_changes, np.empty(0, bool))
+        if step.measured_rad is not None:
+            kalman.update(
+                inputs.motor_time_s,
+                step.measured_rad,
+                step.samples,
+                inputs.acting_V,
+                amount=no_changes,
+                onset_rad=no_changes,
+            )
+
+
+def _simulate(
+    twin: TwinModel, disturbances: DisturbanceModel, filtered: _FilteredFlight, path_s: Floats
+) -> Floats:
+    """Simulate all forecasts together; return the angles that the encoders would show at the times `path_s`
+    since the start, (k, p, 3).
+    """
+    steps_at = [round(time_s / filtered.step_s) for time_s in path_s]
+    starts, h, n = filtered.starts, filtered.step_s, len(filtered.segment)
+    rows = np.array([start.step for start in starts])
+    states = np.array([start.state for start in starts])
+    steady_Nm = np.array([start.steady_torque_Nm for start in starts])
+    gust_Nm = np.array([start.gust_Nm for start in starts])
+    shown_zero_rad = np.hstack((np.array([start.zero_rad for start in starts]), np.zeros((len(starts), 1))))
+    decay = disturbances.autocorrelation(h)[:_AXIS_COUNT]
+    result = np.empty((len(starts), len(steps_at), _AXIS_COUNT))
+    for number in range(max(steps_at) + 1):
+        # Forecasts beyond the end of the flight continue with its last voltages, and are not compared.
+        at = np.minimum(rows + number, n - 1)
+        if number in steps_at:
+            begin = Trajectory(filtered.motor_time_s[at], states, filtered.acting_V[at], h, twin.parameters)
+            angles, *_ = twin.measure(begin)
+            result[:, steps_at.index(number)] = angles[:, :, 0] + shown_zero_rad
+        middle = Trajectory(
+            filtered.motor_time_s[at] + 0.5 * h, states, filtered.acting_V[at], h, twin.parameters
+        )
+        rates, jacobian, by_torque, *_ = twin.functions_without_derivatives.along(middle)
+        _, gamma = _kalman.midpoint(jacobian, h)
+        torque_Nm = steady_Nm + gust_Nm
+        # k numbers the forecasts, i and j the rows and columns of their matrices.
+        driven_rates = rates[:, :, 0] + np.einsum("kij,kj->ki", by_torque, torque_Nm)
+        states = states + np.einsum("kij,kj->ki", gamma, driven_rates)
+        if twin.resets is not None:
+            end = Trajectory(filtered.motor_time_s[at] + h, states, filtered.acting_V[at], h, twin.parameters)
+            (reset,) = twin.resets(end)
+            states = reset[:, :, 0]
+        gust_Nm = gust_Nm * decay
+    return result
+
+
+@dataclass(frozen=True)
+class HorizonErrors:
+    """Errors of forecasts at one horizon, by axis."""
+
+    horizon_s: float
+    forecasts: int  # Number of forecasts
+    with_causes: Mapping[str, float]  # Root mean square error of the model [deg]
+    persistence: Mapping[str, float]  # That of the forecast that nothing changes [deg]
+    reduction: Mapping[str, ErrorReduction] | None
+    """The model compared with the baseline; None without a baseline."""
+
+
+def horizon_errors(forecasts: Forecasts, baseline: Forecasts | None) -> list[HorizonErrors]:
+    """Compare forecasts with persistence and with a `baseline` of the same flight; a horizon that the
+    flight is too short for is left out.
+    """
+    rows = []
+    for horizon, horizon_s in enumerate(HORIZONS_s):
+        squares = forecasts.squares_rad2(horizon)
+        is_compared = np.isfinite(squares).all(axis=1)
+        if baseline is not None:
+            is_compared &= np.isfinite(baseline.squares_rad2(horizon)).all(axis=1)
+        if not is_compared.any():
+            continue
+        rows.append(
+            HorizonErrors(
+                horizon_s,
+                int(is_compared.sum()),
+                _rms_deg(squares[is_compared]),
+                _rms_deg(forecasts.persistence_rad2(horizon)[is_compared]),
+                None if baseline is None else _reduction(forecasts, baseline, horizon, is_compared),
+            )
+        )
+    return rows
+
+
+def _reduction(
+    forecasts: Forecasts, baseline: Forecasts, horizon: int, is_compared: npt.NDArray[np.bool_]
+) -> dict[str, ErrorReduction]:
+    """Compare two models at a horizon, with an interval from a bootstrap over parts of the flight."""
+    parts = ((forecasts.start_s - forecasts.start_s[0]) // _RESAMPLED_s)[is_compared]
+
+    def by_part(of_model: Forecasts) -> WindowErrors:
+        squares = of_model.squares_rad2(horizon)[is_compared]
+        sums = [squares[parts == part].sum(axis=0) for part in np.unique(parts)]
+        counts = [float((parts == part).sum()) for part in np.unique(parts)]
+        return WindowErrors(np.array(sums), np.array(counts))
+
+    return error_reduction([by_part(baseline)], [by_part(forecasts)])
+
+
+def _rms_deg(squares_rad2: Floats) -> dict[str, float]:
+    """Return the root mean square of each axis, [deg]."""
+    return dict(zip(AXES, np.rad2deg(np.sqrt(squares_rad2.mean(axis=0))).tolist(), strict=True))
+
+
+def errors_json(
+    forecasts: Forecasts, rows: Sequence[HorizonErrors], rig: str, baseline_rig: str | None
+) -> dict[str, Any]:
+    """Write the errors of forecasts as a JSON object; docs/reference/json.md describes its keys."""
+    degrees = np.rad2deg(forecasts.range_rad_s)
+    return {
+        "flight": forecasts.label,
+        "rig": rig,
+        "baseline": baseline_rig,
+        "forecasts": len(forecasts.start_s),
+        "range_V": {
+            rotor: forecasts.range_V[:, number].tolist() for number, rotor in enumerate(("front", "back"))
+        },
+        "range_deg_s": {axis: degrees[:, number].tolist() for number, axis in enumerate(AXES)},
+        "horizons": [
+            {
+                "horizon_s": row.horizon_s,
+                "forecasts": row.forecasts,
+                "axis": {axis: _axis_json(row, axis) for axis in AXES},
+            }
+            for row in rows
+        ],
+    }
+
+
+def _axis_json(row: HorizonErrors, axis: str) -> dict[str, Any]:
+    """Return the errors about an axis [deg], and the ratio of the model's error to that of the baseline."""
+    reduction = None if row.reduction is None else row.reduction[axis]
+    return {
+        "model_deg": row.with_causes[axis],
+        "nothing_changes_deg": row.persistence[axis],
+        "baseline_deg": None if reduction is None else reduction.before_deg,
+        "ratio": None if reduction is None else reduction.ratio,
+        "interval95": None if reduction is None else list(reduction.interval95),
+    }
+
+
+_SHOWN_EVERY_s: Final = 2.5
+"""Time between the forecasts that the figure draws over the measured angles [s]."""
+
+
+def draw_forecasts(
+    forecasts: Forecasts, rows: Sequence[HorizonErrors], baseline_text: str, path: Path
+) -> None:
+    """Draw the errors over the horizon, and forecasts over the measured angles, for each axis."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
+    all_axes = figure.subplots(_AXIS_COUNT, 2, squeeze=False, width_ratios=(1, 2))
+    horizons_s = [row.horizon_s for row in rows]
+    for number, (axis, (errors_ax, flight_ax)) in enumerate(zip(AXES, all_axes, strict=True)):
+        lines = {
+            "nothing changes": ([row.persistence[axis] for row in rows], "#888888", ":"),
+            baseline_text: (
+                [row.reduction[axis].before_deg for row in rows if row.reduction is not None],
+                "#b45f06",
+                "--",
+            ),
+            "this model": ([row.with_causes[axis] for row in rows], "#0b5394", "-"),
+        }
+        for label, (errors_deg, color, style) in lines.items():
+            if errors_deg:
+                errors_ax.loglog(horizons_s, errors_deg, color=color, ls=style, marker="o", ms=3, label=label)
+        errors_ax.set_xticks(horizons_s, [f"{horizon_s:g}" for horizon_s in horizons_s])
+        errors_ax.set_xticks([], minor=True)
+        errors_ax.set_ylabel(f"{axis}: rms error, deg")
+        flight_ax.plot(
+            forecasts.start_s,
+            np.rad2deg(forecasts.start_rad[:, number]),
+            color="#888888",
+            lw=1.2,
+            label="measured",
+        )
+        shown = forecasts.start_s[0]
+        for start, start_s in enumerate(forecasts.start_s):
+            if start_s < shown:
+                continue
+            shown = start_s + _SHOWN_EVERY_s
+            longest_s = max(
+                np.array(HORIZONS_s)[np.isfinite(forecasts.measured_rad[start, :, 0])], default=0.0
+            )
+            points = slice(0, round(longest_s / _PATH_EVERY_s) + 1)
+            path_deg = np.rad2deg(forecasts.path_rad[start, points, number])
+            flight_ax.plot(forecasts.path_s[points] + start_s, path_deg, color="#0b5394", lw=0.8)
+        flight_ax.set_ylabel(f"{axis}, deg")
+    all_axes[0, 0].legend(fontsize=8)
+    all_axes[0, 1].set_title(f"{forecasts.label}: measured, and forecasts from the present state", fontsize=9)
+    all_axes[-1, 0].set_xlabel("horizon, s")
+    all_axes[-1, 1].set_xlabel("time, s")
+    save_figure(figure, path, dpi=130)
