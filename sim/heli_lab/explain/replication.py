@@ -15,8 +15,8 @@ Only confirmed causes enter the extended rig, unless all are requested.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -148,6 +148,8 @@ class Replication:
     prediction: Prediction  # Its free runs over all flights
     evaluation: HeldOutEvaluation  # Its free-run errors on the held-out flights
     worse: tuple[WorseAxis, ...]  # Axes that the model with all named causes predicts worse
+    with_causes: Callable[[Sequence[str]], Prediction] = field(repr=False, compare=False)
+    """Returns the prediction of the model with some of the named causes, which is estimated if needed."""
 
     @property
     def unconfirmed(self) -> dict[str, CauseReplication]:
@@ -165,7 +167,9 @@ def replicate(
     """Determine which causes are confirmed, and evaluate the model with these causes alone."""
     ids = [cause.effect for cause in assessment.verdict.causes]
     if not ids:
-        return Replication({}, assessment.extended, assessment.after, evaluation, ())
+        return Replication(
+            {}, assessment.extended, assessment.after, evaluation, (), lambda _ids: assessment.after
+        )
     models = _CauseSubsets(comparison, search, assessment, evaluation, calibrate_s)
     if models.directions is None:
         causes = {id_: CauseReplication(None, None, _TOO_SHORT) for id_ in ids}
@@ -212,6 +216,7 @@ def _replication(
         prediction=evaluation.prediction,
         evaluation=evaluation.held_out,
         worse=worse,
+        with_causes=lambda ids: models.evaluation(ids).prediction,
     )
 
 

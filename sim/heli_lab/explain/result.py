@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -268,7 +268,20 @@ class Diagnosis:
             }
         }
 
-    def rig(self, name: str, with_term: bool = False, with_unconfirmed: bool = False) -> Rig:
+    @property
+    def confirmed_ids(self) -> list[str]:
+        """Ids of the confirmed causes, the strongest first."""
+        return [
+            cause.effect for cause in self.verdict.causes if self.replication.causes[cause.effect].confirmed
+        ]
+
+    def rig(
+        self,
+        name: str,
+        with_term: bool = False,
+        with_unconfirmed: bool = False,
+        only: Sequence[str] | None = None,
+    ) -> Rig:
         """Make the extended rig for ``heli-host sil`` and ``fly``: refitted parameters and confirmed causes.
 
         Parameters
@@ -280,6 +293,9 @@ class Diagnosis:
         with_term : bool
             Whether to add the proposed equation, if there is one. The rig then needs its effect file. It also
             has all causes that the equation was estimated with, confirmed or not.
+        only : sequence of str, optional
+            Ids of the named causes to add; by default the confirmed ones. The model is estimated again with
+            these alone.
         """
         if with_term and self.proposal is not None:
             fit, term = self.proposal.evaluation.prediction.fit, self.proposal.term
@@ -291,6 +307,13 @@ class Diagnosis:
         if with_unconfirmed:
             fit = self.assessment.after.fit
             causes = {cause.effect: dict(cause.parameters) for cause in self.verdict.causes}
+        elif only is not None:
+            fit = self.replication.with_causes(only).fit
+            causes = {
+                cause.effect: cause_parameters(fit, self.kinds[cause.effect], cause.candidate.effect.values)
+                for cause in self.verdict.causes
+                if cause.effect in only
+            }
         else:
             fit = self.replication.prediction.fit
             causes = {

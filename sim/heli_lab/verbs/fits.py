@@ -16,8 +16,11 @@ from heli_host.ui.cli.verb import Verb
 from heli_lab import fit_inputs as option
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from heli_lab.explain import Diagnosis, InsufficientExcitation
     from heli_lab.fit.identification import Identification
+    from heli_lab.watch.saved_rig import JudgedFlight
 
 
 def identify(
@@ -199,7 +202,8 @@ def diagnose(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_result_places
-    from heli_sim.model.effects import catalogue
+    from heli_sim.model import model_named
+    from heli_sim.model.effects import catalogue, effects_with
     from heli_sim.rig import write_rig
 
     from heli_lab.errors import NotExcited
@@ -211,6 +215,7 @@ def diagnose(
     from heli_lab.report.diagnosis.text import summary, unconfirmed_in_rig
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
+    from heli_lab.watch.saved_rig import saved_rig
 
     # Exclude loaded libraries from garbage collection, which otherwise takes 8 % of a diagnosis.
     gc.freeze()
@@ -224,6 +229,7 @@ def diagnose(
     result: Diagnosis | InsufficientExcitation
     output_files: list[Path | None] = []
     rig_remark = ""
+    rig_lines: list[str] = []
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
@@ -251,12 +257,25 @@ def diagnose(
                 output_files.append(write_insufficient_excitation(result, report))
         else:
             if save_rig is not None:
-                extended_rig = result.rig(save_rig.stem, with_term, with_unconfirmed)
+                bar.show("forecasts with the extended rig", 0.93)
                 source = f"heli-host diagnose, model {inputs.model.name}"
                 rig_remark = unconfirmed_in_rig(result, with_term, with_unconfirmed)
-                write_rig(
-                    extended_rig, save_rig, f"Found by {source}. {summary(result)} {rig_remark}".strip()
-                )
+                comment = f"Found by {source}. {summary(result)} {rig_remark}".strip()
+                if with_term and result.proposal is not None:
+                    extended_rig = result.rig(save_rig.stem, with_term, with_unconfirmed)
+                else:
+                    judged = _judged_flights(result, paths, inputs.labels, spans, allow_gaps)
+                    saved = saved_rig(
+                        result,
+                        save_rig.stem,
+                        judged,
+                        lambda rig: model_named(inputs.model.name, effects_with(rig, (), effect_file or ())),
+                        with_unconfirmed=with_unconfirmed,
+                    )
+                    extended_rig = saved.rig
+                    rig_lines = [*(cause.sentence for cause in saved.left_out), *saved.lines]
+                    comment = "\n".join([comment, *rig_lines])
+                write_rig(extended_rig, save_rig, comment)
                 output_files.append(save_rig)
             if report is not None:
                 bar.show("drawing", 0.95)
@@ -273,7 +292,33 @@ def diagnose(
     _print_diagnosis(result)
     if rig_remark:
         say(f"{save_rig}: {rig_remark}")
+    if rig_lines:
+        say(f"{save_rig}: {rig_lines[0]}", *rig_lines[1:])
     say_files(output_files)
+
+
+def _judged_flights(
+    result: Diagnosis,
+    paths: Sequence[Path],
+    labels: Sequence[str],
+    spans: Sequence[tuple[float | None, float | None]],
+    allow_gaps: bool,
+) -> list[JudgedFlight]:
+    """Read the flights whose forecasts decide which causes a saved rig has: the held-out flights, or the
+    fitted ones if none is held out.
+    """
+    from heli_host.data.log.reader import read_flight
+
+    from heli_lab.watch.saved_rig import JudgedFlight
+
+    after = result.assessment.after
+    fit = after.held_out_fit or after.fit
+    judged_labels = {record.label for record in fit.problem.records}
+    return [
+        JudgedFlight(label, read_flight(path, allow_gaps=allow_gaps), span)
+        for path, label, span in zip(paths, labels, spans, strict=True)
+        if label in judged_labels
+    ]
 
 
 def _print_diagnosis(result: Diagnosis | InsufficientExcitation) -> None:

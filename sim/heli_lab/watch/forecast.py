@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from heli_host.data.arrays import Floats, Integers
 from heli_host.data.files import save_figure
 from heli_host.data.flight import Flight
@@ -317,39 +316,53 @@ def horizon_errors(forecasts: Forecasts, baseline: Forecasts | None) -> list[Hor
     """Compare forecasts with persistence and with a `baseline` of the same flight; a horizon that the
     flight is too short for is left out.
     """
+    baselines = None if baseline is None else [baseline]
+    return pooled_errors([forecasts], baselines)
+
+
+def pooled_errors(
+    forecasts: Sequence[Forecasts], baselines: Sequence[Forecasts] | None
+) -> list[HorizonErrors]:
+    """Compare the forecasts of several flights together, see `horizon_errors`."""
     rows = []
     for horizon, horizon_s in enumerate(HORIZONS_s):
-        squares = forecasts.squares_rad2(horizon)
+        squares = np.concatenate([flight.squares_rad2(horizon) for flight in forecasts])
         is_compared = np.isfinite(squares).all(axis=1)
-        if baseline is not None:
-            is_compared &= np.isfinite(baseline.squares_rad2(horizon)).all(axis=1)
         if not is_compared.any():
             continue
+        persistence = np.concatenate([flight.persistence_rad2(horizon) for flight in forecasts])
+        reduction = None
+        if baselines is not None:
+            reduction = error_reduction(
+                [_by_part(flight, horizon) for flight in baselines if _reaches(flight, horizon)],
+                [_by_part(flight, horizon) for flight in forecasts if _reaches(flight, horizon)],
+            )
         rows.append(
             HorizonErrors(
                 horizon_s,
                 int(is_compared.sum()),
                 _rms_deg(squares[is_compared]),
-                _rms_deg(forecasts.persistence_rad2(horizon)[is_compared]),
-                None if baseline is None else _reduction(forecasts, baseline, horizon, is_compared),
+                _rms_deg(persistence[is_compared]),
+                reduction,
             )
         )
     return rows
 
 
-def _reduction(
-    forecasts: Forecasts, baseline: Forecasts, horizon: int, is_compared: npt.NDArray[np.bool_]
-) -> dict[str, ErrorReduction]:
-    """Compare two models at a horizon, with an interval from a bootstrap over parts of the flight."""
+def _reaches(forecasts: Forecasts, horizon: int) -> bool:
+    """Whether the flight is long enough for a horizon."""
+    return bool(np.isfinite(forecasts.measured_rad[:, horizon]).all(axis=1).any())
+
+
+def _by_part(forecasts: Forecasts, horizon: int) -> WindowErrors:
+    """Sum the squared errors at a horizon over parts of the flight, which a bootstrap resamples."""
+    squares = forecasts.squares_rad2(horizon)
+    is_compared = np.isfinite(squares).all(axis=1)
+    squares = squares[is_compared]
     parts = ((forecasts.start_s - forecasts.start_s[0]) // _RESAMPLED_s)[is_compared]
-
-    def by_part(of_model: Forecasts) -> WindowErrors:
-        squares = of_model.squares_rad2(horizon)[is_compared]
-        sums = [squares[parts == part].sum(axis=0) for part in np.unique(parts)]
-        counts = [float((parts == part).sum()) for part in np.unique(parts)]
-        return WindowErrors(np.array(sums), np.array(counts))
-
-    return error_reduction([by_part(baseline)], [by_part(forecasts)])
+    sums = [squares[parts == part].sum(axis=0) for part in np.unique(parts)]
+    counts = [float((parts == part).sum()) for part in np.unique(parts)]
+    return WindowErrors(np.array(sums), np.array(counts))
 
 
 def _rms_deg(squares_rad2: Floats) -> dict[str, float]:

@@ -2,8 +2,8 @@
 
 If the model is right, its innovations are white. The evidence of a change sums them over seconds, so errors
 that last matter, and not the variance of a single innovation. Sums over 1 s show both. On measured flights of
-machines that the twin has not learned, the variance of these sums is 5 to 40 times as large as stated. That of
-single innovations is 1 to 4 times as large (2026-11).
+machines that the twin has not learned, the variance of these sums is 5 to 40 times as large as stated, and
+that of single innovations 1 to 4 times (2026-11).
 """
 
 from __future__ import annotations

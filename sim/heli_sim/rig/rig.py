@@ -385,10 +385,10 @@ _DIGITS = 7
 
 
 def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
-    """Return a rig as TOML after a `comment`, with `digits` significant digits; 17 keep each number
-    exactly.
+    """Return a rig as TOML after a `comment` of one or more lines, with `digits` significant digits; 17 keep
+    each number exactly.
     """
-    lines = [f"# {line}" for line in textwrap.wrap(comment, 108)]
+    lines = [f"# {line}" for part in comment.splitlines() for line in _wrapped(part)]
     lines += [f"name = {toml_string(rig.name)}", f"description = {toml_string(rig.description)}"]
     if rig.model:
         lines.append(f"model = {toml_string(rig.model)}")
@@ -398,6 +398,13 @@ def rig_text(rig: Rig, comment: str = "", digits: int = _DIGITS) -> str:
         for short_name, number in numbers.items():
             lines += _lines_of_number(f"effects.{toml_string(effect)}.{short_name}", number, digits)
     return "\n".join(lines) + "\n"
+
+
+def _wrapped(line: str) -> list[str]:
+    """Return a line of a comment in lines of at most 108 characters; its indentation stays."""
+    text = line.lstrip(" ")
+    indent = " " * (len(line) - len(text))
+    return textwrap.wrap(text, 108, initial_indent=indent, subsequent_indent=indent)
 
 
 def _lines_of_number(name: str, number: Number, digits: int) -> list[str]:

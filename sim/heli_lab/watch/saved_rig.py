@@ -1,0 +1,220 @@
+"""Which causes of a diagnosis a saved rig has: those with which no axis is forecast worse than without
+them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from heli_host.data.arrays import Floats
+from heli_host.data.flight import Flight
+from heli_sim.model.base import Model
+from heli_sim.model.effect import AXES
+from heli_sim.rig import Rig
+
+from heli_lab.errors import TwinError
+from heli_lab.explain.prediction import ErrorReduction
+from heli_lab.explain.result import Diagnosis
+from heli_lab.explain.thresholds import MATTERS_COUNTS
+from heli_lab.fit.records import Record
+from heli_lab.watch.forecast import Forecasts, HorizonErrors, forecasts_of, pooled_errors
+from heli_lab.watch.learn import learn_disturbances
+from heli_lab.watch.steps import count_rad_of
+
+HORIZON_s: Final = 1.0
+"""Horizon of the forecasts that decide [s]: long enough to show a lag, too short for slow terms to
+dominate."""
+MAX_RATIO: Final = 1.1
+"""Largest error of an axis with the causes, divided by that without them. By judgement. Larger: a model that
+predicts an axis worse is saved. Smaller: chance leaves out right causes of short flights."""
+_SHARE_OF_RANGE: Final = 0.8
+"""Share of the judged flight's rates that the fitted flights must reach for their range to count as the
+same."""
+
+
+class JudgedFlight(NamedTuple):
+    """A flight whose forecasts decide."""
+
+    label: str
+    flight: Flight
+    span_s: tuple[float | None, float | None]  # Part that is used, None without a limit
+
+
+@dataclass(frozen=True)
+class LeftOutCause:
+    """A cause that a saved rig does not have."""
+
+    effect: str  # Id of the effect
+    axis: str  # Axis that is forecast worse with it
+    reduction: ErrorReduction  # Its error at `HORIZON_s` without and with the causes
+    remedy: str  # Flight that would show whether the cause or its size is wrong
+
+    @property
+    def sentence(self) -> str:
+        """State why the cause is left out, and what to fly."""
+        growth = 100.0 * (self.reduction.ratio - 1.0)
+        return (
+            f"{self.effect} is left out of the rig: with it, the forecast error of {self.axis} at "
+            f"{HORIZON_s:g} s grows by {growth:.0f} % ({self.reduction.before_deg:.3g} to "
+            f"{self.reduction.after_deg:.3g} deg). {self.remedy}"
+        )
+
+
+@dataclass(frozen=True)
+class SavedRig:
+    """A rig for a file, with the forecast errors that were measured with it."""
+
+    rig: Rig
+    left_out: tuple[LeftOutCause, ...]
+    lines: tuple[str, ...]  # Forecast error of each axis, and the range in which it was measured
+
+
+def saved_rig(
+    result: Diagnosis,
+    name: str,
+    judged: Sequence[JudgedFlight],
+    model_of: Callable[[Rig], Model],
+    *,
+    with_unconfirmed: bool,
+) -> SavedRig:
+    """Make the extended rig called `name`, without causes with which an axis of the `judged` flights is
+    forecast worse by more than `MAX_RATIO`.
+
+    `model_of` makes the equations of a rig with its effects.
+    """
+    ids = [cause.effect for cause in result.verdict.causes] if with_unconfirmed else result.confirmed_ids
+
+    def rig_with(causes: Sequence[str]) -> Rig:
+        if list(causes) == ids:
+            return result.rig(name, with_unconfirmed=with_unconfirmed)
+        return result.rig(name, with_unconfirmed=False, only=causes)
+
+    forecast = _Forecaster(judged, model_of)
+    left_out: list[LeftOutCause] = []
+    remaining = list(ids)
+    try:
+        baseline = forecast(rig_with([])) if ids else None
+        of_rig = forecast(rig_with(remaining))
+        while baseline is not None and remaining:
+            errors = at_horizon(of_rig, baseline)
+            axis = worst_axis(errors, forecast.count_deg)
+            if axis is None:
+                break
+            assert errors.reduction is not None
+            harmful = _most_harmful(remaining, axis, lambda ids_: forecast(rig_with(ids_)), baseline)
+            remedy = what_to_fly(axis, result.assessment.before.fit.problem.records, of_rig)
+            left_out.append(LeftOutCause(harmful, axis, errors.reduction[axis], remedy))
+            remaining.remove(harmful)
+            of_rig = forecast(rig_with(remaining))
+    except TwinError as error:
+        return SavedRig(rig_with(remaining), (), (f"Forecasts were not measured: {error}",))
+    return SavedRig(rig_with(remaining), tuple(left_out), forecast_lines(of_rig))
+
+
+class _Forecaster:
+    """Forecasts of the judged flights with a rig; each rig is computed once."""
+
+    def __init__(self, judged: Sequence[JudgedFlight], model_of: Callable[[Rig], Model]) -> None:
+        self._judged, self._model_of = judged, model_of
+        self._known: dict[tuple[str, ...], list[Forecasts]] = {}
+        self.count_deg: Floats = np.zeros(3)
+
+    def __call__(self, rig: Rig) -> list[Forecasts]:
+        key = tuple(sorted(rig.effects))
+        if key not in self._known:
+            model = self._model_of(rig)
+            counts_rad = [count_rad_of(flight, rig) for _, flight, _ in self._judged]
+            self.count_deg = np.rad2deg(np.max(counts_rad, axis=0))
+            self._known[key] = [
+                forecasts_of(model, rig, learn_disturbances(model, rig, flight, label), flight, label, span_s)
+                for label, flight, span_s in self._judged
+            ]
+        return self._known[key]
+
+
+def at_horizon(forecasts: Sequence[Forecasts], baseline: Sequence[Forecasts] | None) -> HorizonErrors:
+    """Return the errors at `HORIZON_s`; a TwinError is raised if no flight is long enough."""
+    for row in pooled_errors(forecasts, baseline):
+        if row.horizon_s == HORIZON_s:
+            return row
+    raise TwinError(f"no flight lasts {HORIZON_s:g} s after the first forecast", "give a longer flight")
+
+
+def worst_axis(errors: HorizonErrors, count_deg: Floats) -> str | None:
+    """Return the axis whose error grows most, if it grows by more than `MAX_RATIO` and by more than
+    `MATTERS_COUNTS` encoder counts; otherwise None. Shapes: `count_deg` (3,).
+    """
+    assert errors.reduction is not None
+    ratios: Mapping[str, float] = {
+        axis: reduction.ratio
+        for (axis, reduction), count in zip(errors.reduction.items(), count_deg, strict=True)
+        if reduction.ratio > MAX_RATIO and reduction.after_deg - reduction.before_deg > MATTERS_COUNTS * count
+    }
+    return max(ratios, key=lambda axis: ratios[axis]) if ratios else None
+
+
+def _most_harmful(
+    ids: Sequence[str],
+    axis: str,
+    forecast_with: Callable[[Sequence[str]], list[Forecasts]],
+    baseline: Sequence[Forecasts],
+) -> str:
+    """Return the cause without which the error of an axis is smallest."""
+    if len(ids) == 1:
+        return ids[0]
+
+    def error_without(id_: str) -> float:
+        errors = at_horizon(forecast_with([other for other in ids if other != id_]), baseline)
+        return errors.with_causes[axis]
+
+    return min(ids, key=error_without)
+
+
+def what_to_fly(axis: str, fitted: Iterable[Record], judged: Sequence[Forecasts]) -> str:
+    """State the flight that would show whether a cause or its size is wrong."""
+    number = AXES.index(axis)
+    judged_deg_s = float(np.rad2deg(max(np.abs(flight.range_rad_s[:, number]).max() for flight in judged)))
+    fitted_deg_s = float(np.rad2deg(max(_highest_rate_rad_s(record, number) for record in fitted)))
+    labels = ", ".join(flight.label for flight in judged)
+    if fitted_deg_s < _SHARE_OF_RANGE * judged_deg_s:
+        return (
+            f"{axis} turns with up to {judged_deg_s:.0f} deg/s in {labels}, and with up to "
+            f"{fitted_deg_s:.0f} deg/s in the fitted flights: fly a plan with {judged_deg_s:.0f} deg/s, and "
+            "add it to the flights to fit."
+        )
+    return (
+        f"Fly one more flight like {labels}, fit both, and validate on a third one: the cause is wrong if "
+        f"{axis} is still forecast worse."
+    )
+
+
+def _highest_rate_rad_s(record: Record, axis: int) -> float:
+    """Return the rate of an axis that a hundredth of a flight exceeds [rad/s]."""
+    rows = max(1, round(0.1 / record.step_s))
+    rates = [
+        np.abs(record.angles_rad[start + rows : stop, axis] - record.angles_rad[start : stop - rows, axis])
+        for start, stop in record.segments
+        if stop - start > rows
+    ]
+    return float(np.quantile(np.concatenate(rates), 0.99)) / (rows * record.step_s) if rates else 0.0
+
+
+def forecast_lines(forecasts: Sequence[Forecasts]) -> tuple[str, ...]:
+    """State the forecast error of each axis at `HORIZON_s`, and the range in which it was measured."""
+    errors = at_horizon(forecasts, None)
+    labels = ", ".join(flight.label for flight in forecasts)
+    low_V = np.min([flight.range_V[0] for flight in forecasts], axis=0)
+    high_V = np.max([flight.range_V[1] for flight in forecasts], axis=0)
+    low_deg_s = np.rad2deg(np.min([flight.range_rad_s[0] for flight in forecasts], axis=0))
+    high_deg_s = np.rad2deg(np.max([flight.range_rad_s[1] for flight in forecasts], axis=0))
+    return (
+        f"Forecast error at {HORIZON_s:g} s, rms on {labels}, at front {low_V[0]:.1f} to {high_V[0]:.1f} V, "
+        f"back {low_V[1]:.1f} to {high_V[1]:.1f} V:",
+        *(
+            f"  {axis}: {errors.with_causes[axis]:.3g} deg, at {low:.0f} to {high:.0f} deg/s"
+            for axis, low, high in zip(AXES, low_deg_s, high_deg_s, strict=True)
+        ),
+    )
