@@ -5,8 +5,8 @@ One or two effects of random size are hidden, or an effect that the catalogue la
 in the first flight only. Without a hidden effect, hardly any cause is named. Each seed is diagnosed with the
 second flight held out, and from the first flight alone; with ``--reverse`` also with the first held out.
 
-The limit for causes that are not confirmed, in `heli_lab.explain.thresholds`, comes from `DEVELOPMENT`; the
-seeds `JUDGING` judge it. Results are appended to a file, and a run continues where the
+The limits for causes that are not confirmed, in `heli_lab.explain.thresholds`, come from `DEVELOPMENT` and
+`FRESH`; the seeds `JUDGING` judge them. Results are appended to a file, and a run continues where the
 last one stopped.
 """
 
@@ -57,6 +57,8 @@ SIZES: Final = (0.7, 3.0)
 """Range of the factor on the typical size, drawn log-uniformly: smaller effects are not named."""
 DEVELOPMENT: Final = (9300, 9301, 9302, 9304, 9305, 9307, 9309, 9310, 9312, 9314, 9315)
 """Seeds of the calibration, the first three with ``--reverse``."""
+FRESH: Final = range(9600, 9635)
+"""Seeds that were added to the calibration with a later version of the search."""
 JUDGING: Final = range(9400, 9500)
 
 

@@ -13,7 +13,7 @@ from heli_lab.explain.verdict import unconfirmed_confidence
 
 from tests.diagnose import calibration, confidence, sensitivity
 from tests.diagnose.calibration import cases, measure, names_in_unexplained
-from tests.diagnose.confidence import DEVELOPMENT, JUDGING, KINDS, case, is_right
+from tests.diagnose.confidence import DEVELOPMENT, FRESH, JUDGING, KINDS, case, is_right
 from tests.diagnose.sensitivity import CASES, in_a_process, judged, scaled
 
 
@@ -53,6 +53,8 @@ def test_confidence_without_confirmation_is_lower_and_grows_with_evidence() -> N
     assert np.all(np.diff(lowered) >= 0.0)
     assert np.all(lowered <= LEVELS)
     assert 0.8 < lowered[-1] < 0.9
+    # Two of the first seven causes from 0.7 to 0.95 were right.
+    assert np.all(lowered[(LEVELS > 0.7) & (LEVELS < 0.945)] < 0.75)
     assert lowered[0] > 0.0
 
 
@@ -67,7 +69,7 @@ def test_kinds_of_cases_alternate_and_an_event_has_a_moment_in_flight() -> None:
 
 
 def test_no_seed_of_the_calibration_judges_it() -> None:
-    assert not {*DEVELOPMENT} & {*JUDGING}
+    assert not {*DEVELOPMENT, *FRESH} & {*JUDGING}
 
 
 def test_only_a_hidden_effect_or_one_of_two_is_right() -> None:

@@ -312,6 +312,8 @@ def unconfirmed_confidence(probability: float) -> float:
     """Limit the confidence of a cause that is not confirmed, because its evidence comes from one
     direction.
     """
+    if probability < thresholds.CLEAR_CONFIDENCE:
+        return min(probability, thresholds.MAX_CONFIDENCE_UNCLEAR)
     return min(probability, thresholds.MAX_CONFIDENCE_UNCONFIRMED)
 
 
