@@ -118,7 +118,7 @@ def forecasts_of(
             f"{label} has less than {_SETTLE_s + HORIZONS_s[0]:g} s of uninterrupted free flight to forecast",
             "give a longer flight, or a wider part of it with --from and --to",
         )
-    path_s = np.arange(round(HORIZONS_s[-1] / _PATH_EVERY_s) + 1) * _PATH_EVERY_s
+    path_s = np.asarray(np.arange(round(HORIZONS_s[-1] / _PATH_EVERY_s) + 1) * _PATH_EVERY_s, float)
     path_rad = _simulate(twin, disturbances, filtered, path_s)
     first = np.array([start.step for start in filtered.starts])
     measured_rad = np.full((len(first), len(HORIZONS_s), _AXIS_COUNT), np.nan)
@@ -170,7 +170,7 @@ def _filter_flight(
         acting_V=np.zeros((count, 2)),
         measured_rad=np.full((count, 3), np.nan),
         segment=np.full(count, -1),
-        time_s=(np.arange(count) + offset) * step_s - zero_s,
+        time_s=np.asarray((np.arange(count) + offset) * step_s - zero_s, float),
     )
     runner = _Runner(twin, disturbances, count_rad, step_s, filtered.starts)
     for step in steps:

@@ -128,8 +128,8 @@ def all_changes() -> tuple[Change, ...]:
     return (*_catalogue_changes(), _SUPPLY_STEP, *_ENCODER_SCALES)
 
 
-def extended(model: Model, changes: Sequence[Change]) -> Model:
-    """Add the effects of possible changes to a model, at values at which they do nothing.
+def extended(model: Model, changes: Sequence[Change] | None = None) -> Model:
+    """Add the effects of possible changes to a model, of all by default, at values at which they do nothing.
 
     The derivatives by their parameters are then derivatives by the changes. The effects act from 0 s on. The
     filter itself sets the derivatives to zero before an onset.
@@ -137,7 +137,7 @@ def extended(model: Model, changes: Sequence[Change]) -> Model:
     specs = catalogue()
     present_names = {effect.name for effect in model.effects}
     effects: dict[str, Effect] = {}
-    for change in changes:
+    for change in changes_of(model) if changes is None else changes:
         if change.id in specs and change.id not in present_names:
             spec = specs[change.id]
             onsets_s = {name: 0.0 for name in spec.neutral if name.endswith("_at_s")}
