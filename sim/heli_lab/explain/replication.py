@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from heli_lab.explain.assessment import Assessment
 from heli_lab.explain.comparison import Hypothesis, ModelComparison
@@ -148,8 +148,12 @@ class Replication:
     prediction: Prediction  # Its free runs over all flights
     evaluation: HeldOutEvaluation  # Its free-run errors on the held-out flights
     worse: tuple[WorseAxis, ...]  # Axes that the model with all named causes predicts worse
-    with_causes: Callable[[Sequence[str]], Prediction] = field(repr=False, compare=False)
-    """Returns the prediction of the model with some of the named causes, which is estimated if needed."""
+    with_causes: Callable[[Sequence[str]], Prediction] | None = field(repr=False, compare=False)
+    """Returns the prediction of the model with some of the named causes, which is estimated if needed; None
+    in a result that was pickled, because the search that it continues is not."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "with_causes": None}
 
     @property
     def unconfirmed(self) -> dict[str, CauseReplication]:
