@@ -264,7 +264,7 @@ def diagnose(
                 if with_term and result.proposal is not None:
                     extended_rig = result.rig(save_rig.stem, with_term, with_unconfirmed)
                 else:
-                    judged = _judged_flights(result, paths, inputs.labels, spans, allow_gaps)
+                    judged = _judged_flights(result, paths, len(flights), inputs.labels, spans, allow_gaps)
                     saved = saved_rig(
                         result,
                         save_rig.stem,
@@ -300,6 +300,7 @@ def diagnose(
 def _judged_flights(
     result: Diagnosis,
     paths: Sequence[Path],
+    fitted_count: int,
     labels: Sequence[str],
     spans: Sequence[tuple[float | None, float | None]],
     allow_gaps: bool,
@@ -311,13 +312,11 @@ def _judged_flights(
 
     from heli_lab.watch.saved_rig import JudgedFlight
 
-    after = result.assessment.after
-    fit = after.held_out_fit or after.fit
-    judged_labels = {record.label for record in fit.problem.records}
+    first = fitted_count if result.has_other_flight else 0
+    last = None if result.has_other_flight else fitted_count
+    judged = list(zip(paths, labels, spans, strict=True))[first:last]
     return [
-        JudgedFlight(label, read_flight(path, allow_gaps=allow_gaps), span)
-        for path, label, span in zip(paths, labels, spans, strict=True)
-        if label in judged_labels
+        JudgedFlight(label, read_flight(path, allow_gaps=allow_gaps), span) for path, label, span in judged
     ]
 
 

@@ -11,11 +11,12 @@ from typing import Final, NamedTuple
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
+from heli_host.errors import HeliError
 from heli_sim.model.base import Model
 from heli_sim.model.effect import AXES
 from heli_sim.rig import Rig
 
-from heli_lab.errors import TwinError
+from heli_lab.errors import IdentifyError, TwinError
 from heli_lab.explain.prediction import ErrorReduction
 from heli_lab.explain.result import Diagnosis
 from heli_lab.explain.thresholds import MATTERS_COUNTS
@@ -109,7 +110,7 @@ def saved_rig(
             left_out.append(LeftOutCause(harmful, axis, errors.reduction[axis], remedy))
             remaining.remove(harmful)
             of_rig = forecast(rig_with(remaining))
-    except TwinError as error:
+    except HeliError as error:
         return SavedRig(rig_with(remaining), (), (f"Forecasts were not measured: {error}",))
     return SavedRig(rig_with(remaining), tuple(left_out), forecast_lines(of_rig))
 
@@ -126,13 +127,23 @@ class _Forecaster:
         key = tuple(sorted(rig.effects))
         if key not in self._known:
             model = self._model_of(rig)
-            counts_rad = [count_rad_of(flight, rig) for _, flight, _ in self._judged]
-            self.count_deg = np.rad2deg(np.max(counts_rad, axis=0))
-            self._known[key] = [
-                forecasts_of(model, rig, learn_disturbances(model, rig, flight, label), flight, label, span_s)
-                for label, flight, span_s in self._judged
-            ]
+            for _, flight, _ in self._judged:
+                self.count_deg = np.maximum(self.count_deg, np.rad2deg(count_rad_of(flight, rig)))
+            self._known[key] = self._forecasts(model, rig)
         return self._known[key]
+
+    def _forecasts(self, model: Model, rig: Rig) -> list[Forecasts]:
+        """Forecast the flights that are long enough; raise the last error if none is."""
+        forecasts, refused = [], HeliError("no flight was given", "give a flight to --validate")
+        for label, flight, span_s in self._judged:
+            try:
+                disturbances = learn_disturbances(model, rig, flight, label)
+                forecasts.append(forecasts_of(model, rig, disturbances, flight, label, span_s))
+            except (TwinError, IdentifyError) as error:
+                refused = error
+        if not forecasts:
+            raise refused
+        return forecasts
 
 
 def at_horizon(forecasts: Sequence[Forecasts], baseline: Sequence[Forecasts] | None) -> HorizonErrors:
