@@ -88,7 +88,7 @@ _REPORTS: Final = {
     "stalled values": r"still|frozen|stuck|stall|not change|same values",
     "overflow": r"overflow|wrapped|starts again",
     "restart": r"restart|starts? (again|anew|over)|begins? (again|anew)|falls|set back|jumps back",
-    "coarse": r"coarse|resol|repeat|whole|rounded|digits|evenly|even times|same time",
+    "coarse": r"coarse|resol|repeat|share their|whole|rounded|digits|evenly|even times|same time",
     "two rates": r"blank|empty|held|hold|slower|two rates|last value|fill",
 }
 """Pattern of the words with which an import must report each repair. They are wide: any word will do."""

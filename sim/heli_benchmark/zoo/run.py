@@ -60,9 +60,10 @@ def main(arguments: Sequence[str]) -> int:
             scores.append(score)
             if score.score not in _FINE or options.case:
                 print(case_text(score), flush=True)
+            if options.json is not None:
+                # After each case, so that a stopped run keeps its results.
+                options.json.write_text(json.dumps([asdict(each) for each in scores], indent=1) + "\n")
     print(score_table(scores))
-    if options.json is not None:
-        options.json.write_text(json.dumps([asdict(score) for score in scores], indent=1) + "\n")
     return 1 if any(score.score == SILENT for score in scores) else 0
 
 
