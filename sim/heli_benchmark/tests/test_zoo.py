@@ -111,11 +111,11 @@ def test_a_right_import_has_no_mistake_and_its_clock_may_begin_anywhere() -> Non
     assert row_difference(halves, truth_of(flight)) == 0
 
 
-@pytest.mark.medium
+@pytest.mark.slow
 def test_a_drawn_case_is_a_file_with_the_rows_of_its_truth(tmp_path: Path) -> None:
     flights = [made_flight(0.002)] * len(RECIPES)
     containers = set()
-    for number in range(5):
+    for number in range(4):
         case = draw_case(3, number, RECIPES, flights)
         assert draw_case(3, number, RECIPES, flights).traits == case.traits
         containers.add(case.container)
