@@ -583,10 +583,13 @@ class _Drawing:
         elif kind == "five digits":
             offset_s = float(random.choice(("100", "1000"))) * random.between(1.0, 2.0)
             decimals, clock = -5, t_s - t_s[0] + offset_s
-            self._note_repeats(np.array([float(f"{value:.5g}") for value in clock]))
+            # Rounded for all containers: not each writes numbers as texts.
+            clock = np.array([float(f"{value:.5g}") for value in clock])
+            self._note_repeats(clock)
         elif kind in ("tenths", "whole seconds"):
             decimals = 1 if kind == "tenths" else 0
-            self._note_repeats(np.round(clock, decimals))
+            clock = np.round(clock, decimals)
+            self._note_repeats(clock)
         elif kind == "overflow 16 ms":
             unit, decimals = "ms", 0
             clock = np.mod(np.floor((t_s - t_s[0]) * 1e3) + 65536.0 - random.between(3e3, 2e4), 65536.0)
