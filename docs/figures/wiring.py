@@ -106,7 +106,13 @@ def board_pin(axes: Axes, y: float, label: str, chip: str, *, is_left: bool) -> 
 def encoder(axes: Axes, top: float, name: str, line_a: Pin, line_b: Pin) -> None:
     """An encoder and its two lines."""
     block(
-        axes, 4.0, top - 9.5, LEFT_EDGE - 4.0, 12.0, f"encoder: {name}", "12-24 V and 0 V\nfrom its own supply"
+        axes,
+        4.0,
+        top - 9.5,
+        LEFT_EDGE - 4.0,
+        12.0,
+        f"encoder: {name}",
+        "12-24 V and 0 V\nfrom its own supply",
     )
     for y, line, pin, at in ((top, "A", line_a, 34.0), (top - 7.0, "B", line_b, 44.0)):
         axes.text(LEFT_EDGE - 1.0, y, line, ha="right", va="center", fontsize=NORMAL)
@@ -252,7 +258,12 @@ def draw(path: Path) -> Figure:
     axes.text(120.4, 7.0, "+12 V", ha="right", va="center", fontsize=LARGE, color=SUPPLY)
     axes.text(130.0, 8.0, "stop, second contact", ha="center", va="bottom", fontsize=SMALL, color=SUPPLY)
     axes.text(
-        124.0, 3.0, "one ground for supply, drivers,\nencoders and Due", ha="right", va="center", fontsize=SMALL
+        124.0,
+        3.0,
+        "one ground for supply, drivers,\nencoders and Due",
+        ha="right",
+        va="center",
+        fontsize=SMALL,
     )
     earth(axes, 126.5, 3.6)
     return figure
