@@ -216,6 +216,16 @@ def test_angles_alone_that_stand_still_are_left_out(tmp_path: Path) -> None:
     assert [len(flight) for flight in conversion.flights] == [401, 800]
 
 
+@pytest.mark.parametrize("step", [1, 5], ids=["100 Hz", "20 Hz"])
+def test_two_angles_that_stand_still_while_the_third_goes_on_are_left_out(tmp_path: Path, step: int) -> None:
+    values = VALUES.copy()
+    values[400:700, 3:] = values[400, 3:]
+    conversion = converted(tmp_path, lines(T_S[::step], values[::step]))
+    (change,) = conversion.changes
+    assert change.rows == (300 - step) / step
+    assert "stand still" in change.reason
+
+
 def test_an_arm_that_rests_on_its_table_is_no_failed_link(tmp_path: Path) -> None:
     flown_s = np.clip(T_S - 3.0, 0.0, None)
     volts = np.where(T_S < 3.0, 1.0, 7.0 + np.sin(5.0 * T_S))

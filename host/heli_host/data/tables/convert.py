@@ -45,7 +45,11 @@ _LONG_STAND_S: Final = 2.0
 """Shortest part [s] in which a failed link repeats all angles: with a jump after it, and at the file's end.
 A hovering simulation without disturbances may repeat its counts for a second."""
 _STAND_JUMPS: Final = 2.0
-"""Step after such a part, as a multiple of the largest usual one (99 %)."""
+_STAND_COUNTS: Final = 3.0
+_STAND_NEIGHBOURS: Final = 3
+"""Step after such a part, as a multiple of the largest of its neighbours on both sides, and of the smallest
+step of the file. An arm that rests for a moment leaves its rest with a step that is smaller than the next
+ones."""
 _ALOFT_DEG: Final = 5.0
 """Height above the lowest elevation from which the arm is in the air [deg]; the table is about 25 deg below
 level."""
@@ -268,26 +272,34 @@ def _complete_rows(rows: _Rows, table: Table, profile: Profile) -> tuple[_Rows, 
 
 
 def _standing(rows: _Rows) -> Booleans:
-    """Mark rows that a failed link repeats: all angles stay, although the motors work.
+    """Mark rows that a failed link repeats: two angles or all stay, although the motors work.
 
     After such a part, an angle jumps to where the arm has gone meanwhile. At the end of a file, a long part
-    in the air counts without a jump. A rig may hover still for a moment.
+    in the air in which all angles stay counts without a jump. A rig may hover still for a moment. The third
+    angle may come by another link.
     """
     t_s = rows.t_s
     angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
     volts = np.column_stack(list(rows.voltages_V.values()))
     result = np.zeros(t_s.size, bool)
     step_rad = np.abs(np.diff(angles, axis=0))
-    usual_rad = np.quantile(step_rad, 0.99, axis=0) if t_s.size > 1 else np.zeros(3)
+    count_rad = np.where(step_rad > 0.0, step_rad, np.inf).min(axis=0, initial=np.inf)
     lowest_rad, largest_V = angles[:, 0].min(initial=np.inf), np.abs(volts).max(initial=0.0)
-    for start, stop in equal_runs(t_s, angles):
-        length_s = float(t_s[stop - 1] - t_s[start])
-        if length_s < _STAND_S or np.abs(volts[start:stop]).max() < _OFF_SHARE * largest_V:
-            continue
-        jumps = stop < t_s.size and bool((step_rad[stop - 1] > _STAND_JUMPS * usual_rad).any())
-        is_aloft = np.degrees(angles[start, 0] - lowest_rad) > _ALOFT_DEG
-        if jumps or (stop == t_s.size and length_s > _LONG_STAND_S and is_aloft):
-            result[start + 1 : stop] = True
+    for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2]):
+        for start, stop in equal_runs(t_s, angles[:, axes]):
+            length_s = float(t_s[stop - 1] - t_s[start])
+            if length_s < _STAND_S or np.abs(volts[start:stop]).max() < _OFF_SHARE * largest_V:
+                continue
+            before = step_rad[max(start - _STAND_NEIGHBOURS, 0) : start]
+            neighbours = np.concatenate((before, step_rad[stop : stop + _STAND_NEIGHBOURS]))
+            usual_rad = np.maximum(
+                _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), _STAND_COUNTS * count_rad
+            )
+            jumps = stop < t_s.size and bool((step_rad[stop - 1] > usual_rad)[axes].any())
+            is_aloft = np.degrees(angles[start, 0] - lowest_rad) > _ALOFT_DEG
+            ends = stop == t_s.size and len(axes) == len(AXES)
+            if jumps or (ends and length_s > _LONG_STAND_S and is_aloft):
+                result[start + 1 : stop] = True
     return result
 
 
@@ -299,7 +311,7 @@ def _standing_change(t_s: Floats, stands: Booleans) -> RowChange:
     return RowChange(
         "left out",
         int(stands.sum()),
-        f"in which all angles stand still although the motors work ({', '.join(spans[:4])}{more})",
+        f"in which angles stand still although the motors work ({', '.join(spans[:4])}{more})",
     )
 
 
