@@ -99,6 +99,10 @@ class Auditor {
         return exactly(size, heli::link::EventMessage::kSize);
       case MessageId::law:
         return exactly(size, heli::link::LawMessage::kSize);
+      case MessageId::controller:
+        return exactly(size, heli::link::ControllerMessage::kSize);
+      case MessageId::params_origin:
+        return exactly(size, heli::link::ParamsOriginMessage::kSize);
       case MessageId::params:
         require(size > 2, "params has a head");
         return exactly(size, heli::link::ParamsMessage::kSize + 4U * payload[2]);
