@@ -8,6 +8,7 @@ import re
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from heli_host.data.log.writer import LogWriter
 from heli_host.declaration import State
 from heli_host.errors import LogWriteError
 from heli_host.fly.connection import connect
+from heli_host.fly.pilot import FlightMonitor
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly
 
@@ -119,6 +121,31 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
     reported_s = [float(s) for s in re.findall(r"the disk blocked for ([\d.]+) s", "\n".join(summary.notes))]
     # Simulated time advances in steps of at most a tenth of a second.
     assert reported_s == pytest.approx(list(BLOCKS_S.values()), abs=0.15)
+
+
+def test_a_disk_that_fills_during_a_check_is_the_reason_of_the_end() -> None:
+    class FailsWhenRead:
+        """A recorder that fails at the moment at which the monitor looks whether it has failed."""
+
+        def __init__(self) -> None:
+            self.failed: LogWriteError | None = None
+
+        @property
+        def error(self) -> LogWriteError | None:
+            self.failed = LogWriteError("cannot write the log: it is full", "make room")
+            return self.failed
+
+        def check(self) -> None:
+            if self.failed is not None:
+                raise self.failed
+
+    session = SimpleNamespace(state=State.CLOSED_LOOP, counters=SimpleNamespace(restarts=0, reconnects=0))
+    heli: Any = SimpleNamespace(session=session)
+    recorder: Any = FailsWhenRead()
+    monitor = FlightMonitor(heli, recorder, lambda: "")
+    monitor.begin()
+    with pytest.raises(LogWriteError, match="it is full"):
+        monitor.check(1.0)
 
 
 def test_over_a_port_a_full_disk_lands_the_rig_and_is_reported_first(

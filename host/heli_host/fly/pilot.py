@@ -181,11 +181,13 @@ class FlightMonitor:
 
         `t_s`: Device time since the loops were to be closed [s]; they must be closed within 2 s.
         """
+        closes_too_slowly = not self.was_closed and t_s > _CLOSING_S
+        # Before the reasons are looked at: a log that fails between the two would end the flight without one.
+        must_end = self.must_end()
         self._recorder.check()
         if restarted := self.restarted():
             raise FlightAborted(restarted.removeprefix("aborted: "))
-        closes_too_slowly = not self.was_closed and t_s > _CLOSING_S
-        if not self.must_end() and not closes_too_slowly:
+        if not must_end and not closes_too_slowly:
             return
         raise FlightAborted(self._end_when() or self.why_down())
 
