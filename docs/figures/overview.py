@@ -78,15 +78,25 @@ def drawing() -> str:
         '<defs><marker id="head" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" '
         f'orient="auto-start-reverse"><path d="M 0 1 L 10 5 L 0 9 z" fill="{INK}"/></marker></defs>'
     )
+    return page(WIDTH, HEIGHT, head, *parts())
+
+
+def page(width: int, height: int, definitions: str, *shapes: str) -> str:
+    """Return an SVG file with shapes on a light background."""
     opening = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" '
-        f'height="{HEIGHT}" font-family="Helvetica, Arial, sans-serif" text-anchor="middle">'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
+        f'height="{height}" font-family="Helvetica, Arial, sans-serif" text-anchor="middle">'
     )
     # Viewers with a dark page would show dark lines on it.
-    page = f'<rect width="{WIDTH}" height="{HEIGHT}" rx="10" fill="#f4f6f8"/>'
-    return "\n".join((opening, head, page, *parts(), "</svg>")) + "\n"
+    background = f'<rect width="{width}" height="{height}" rx="10" fill="#f4f6f8"/>'
+    return "\n".join((opening, definitions, background, *shapes, "</svg>")) + "\n"
+
+
+def write(text: str, program: str) -> None:
+    """Write a drawing into the file that the command line names, or next to its program."""
+    target = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(program).with_suffix(".svg")
+    target.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    given = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".svg")
-    given.write_text(drawing(), encoding="utf-8")
+    write(drawing(), __file__)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
-from pathlib import Path
+
+from overview import page, write
 
 WIDTH, HEIGHT = 960, 400
 STEEL, FRONT, BACK, WEIGHT, AXIS, INK = "#37526b", "#1b5e20", "#7a1f4b", "#8a4b00", "#0b4f8a", "#1c2733"
@@ -26,11 +26,13 @@ def seen(point_m: Point) -> tuple[float, float]:
     return CENTRE_PX[0] + PX_PER_M * right, CENTRE_PX[1] - PX_PER_M * up
 
 
-def path(points_m: Sequence[Point], colour: str, width_px: float, more: str = "") -> str:
+def path(
+    points_m: Sequence[Point], colour: str, width_px: float, more: str = "", fill: str = 'fill="none"'
+) -> str:
     """Draw a line through points."""
     corners = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(seen, points_m))
     return (
-        f'<polyline points="{corners}" fill="none" stroke="{colour}" stroke-width="{width_px}" '
+        f'<polyline points="{corners}" {fill} stroke="{colour}" stroke-width="{width_px}" '
         f'stroke-linecap="round" stroke-linejoin="round" {more}/>'
     )
 
@@ -61,7 +63,7 @@ def rotor(hub_m: Point, colour: str) -> str:
         (hub_m[0] + 0.15 * math.cos(a), hub_m[1] + 0.15 * math.sin(a), hub_m[2] + 0.05)
         for a in (2 * math.pi * k / 36 for k in range(37))
     ]
-    disc = path(rim_m, colour, 2).replace('fill="none"', f'fill="{colour}" fill-opacity="0.15"')
+    disc = path(rim_m, colour, 2, fill=f'fill="{colour}" fill-opacity="0.15"')
     motor = path([hub_m, (hub_m[0], hub_m[1], hub_m[2] + 0.05)], colour, 12)
     thrust = path(
         [(hub_m[0], hub_m[1], hub_m[2] + 0.07), (hub_m[0], hub_m[1], hub_m[2] + 0.24)],
@@ -83,7 +85,8 @@ def drawing() -> str:
             [(-0.16, -0.16, 0), (0.16, -0.16, 0), (0.16, 0.16, 0), (-0.16, 0.16, 0), (-0.16, -0.16, 0)],
             STEEL,
             2,
-        ).replace('fill="none"', 'fill="#d5dde5"'),
+            fill='fill="#d5dde5"',
+        ),
         path([(0, 0, 0), PIVOT_M], STEEL, 12),
         path([tail_m, end_m], STEEL, 8),
         path([(-TAIL_M - 0.04, 0, z), (-TAIL_M + 0.04, 0, z)], WEIGHT, 34),
@@ -104,20 +107,14 @@ def drawing() -> str:
         text(*_offset(seen(front_m), 40, 52), "front rotor", FRONT),
         text(*_offset(seen(back_m), 0, -92), "back rotor", BACK),
         text(*_offset(seen((0, 0, 0.3)), 32, 6), "post", STEEL),
+        text(160, 385, "Blue arrows: positive directions", AXIS),
     ]
-    notes = [text(160, 385, "Blue arrows: positive directions", AXIS)]
     heads = "".join(
         f'<marker id="{name}" viewBox="0 0 10 10" refX="6" refY="5" markerWidth="4.5" markerHeight="4.5" '
         f'orient="auto"><path d="M 0 0 L 10 5 L 0 10 z" fill="{colour}"/></marker>'
         for name, colour in (("head", AXIS), ("thrust", INK))
     )
-    opening = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" '
-        f'height="{HEIGHT}" font-family="Helvetica, Arial, sans-serif" text-anchor="middle">'
-    )
-    # Viewers with a dark page would show dark lines on it.
-    page = f'<rect width="{WIDTH}" height="{HEIGHT}" rx="10" fill="#f4f6f8"/>'
-    return "\n".join((opening, f"<defs>{heads}</defs>", page, *shapes, *labels, *notes, "</svg>")) + "\n"
+    return page(WIDTH, HEIGHT, f"<defs>{heads}</defs>", *shapes, *labels)
 
 
 def _offset(point: tuple[float, float], right_px: float, down_px: float) -> tuple[float, float]:
@@ -125,5 +122,4 @@ def _offset(point: tuple[float, float], right_px: float, down_px: float) -> tupl
 
 
 if __name__ == "__main__":
-    given = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).with_suffix(".svg")
-    given.write_text(drawing(), encoding="utf-8")
+    write(drawing(), __file__)

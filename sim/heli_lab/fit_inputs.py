@@ -117,16 +117,23 @@ def fit_inputs(
     effects: Sequence[str] = (),
 ) -> FitInputs:
     """Read the rig and build the model of a fit."""
-    from heli_sim.model import model_named
-    from heli_sim.model.effects import effects_with
     from heli_sim.rig import load_rig
 
     from heli_lab.fit.identification import short_names
 
     loaded_rig = load_rig(rig)
-    all_effects = effects_with(loaded_rig, effects, effect_files)
-    model_with_effects = model_named(model or loaded_rig.model or DEFAULT_MODEL, all_effects)
+    model_with_effects = model_of(loaded_rig, model, effect_files, effects)
     return FitInputs(loaded_rig, model_with_effects, short_names([*flights, *validate]))
+
+
+def model_of(
+    rig: Rig, model: str | None = None, effect_files: Sequence[Path] = (), effects: Sequence[str] = ()
+) -> Model:
+    """Build the equations `model`, by default the rig's, with the effects of rig and command line."""
+    from heli_sim.model import model_named
+    from heli_sim.model.effects import effects_with
+
+    return model_named(model or rig.model or DEFAULT_MODEL, effects_with(rig, effects, effect_files))
 
 
 def input_lines(inputs: FitInputs, rig: str) -> tuple[str, str]:

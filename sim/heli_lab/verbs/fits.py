@@ -202,14 +202,13 @@ def diagnose(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_result_places
-    from heli_sim.model import model_named
-    from heli_sim.model.effects import catalogue, effects_with
+    from heli_sim.model.effects import catalogue
     from heli_sim.rig import write_rig
 
     from heli_lab.errors import NotExcited
     from heli_lab.explain import InsufficientExcitation, insufficient_excitation
     from heli_lab.explain import diagnose as run_diagnosis
-    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
+    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, model_of, parts, read_parts
     from heli_lab.report.diagnosis.page import write_effect_file, write_insufficient_excitation, write_report
     from heli_lab.report.diagnosis.serialize import to_json
     from heli_lab.report.diagnosis.text import summary, unconfirmed_in_rig
@@ -269,7 +268,7 @@ def diagnose(
                         result,
                         save_rig.stem,
                         judged,
-                        lambda rig: model_named(inputs.model.name, effects_with(rig, (), effect_file or ())),
+                        lambda rig: model_of(rig, inputs.model.name, effect_file or ()),
                         with_unconfirmed=with_unconfirmed,
                     )
                     extended_rig = saved.rig

@@ -67,7 +67,6 @@ def predict(
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_result_places
     from heli_sim.model import model_named
-    from heli_sim.model.effects import effects_with
     from heli_sim.rig import load_rig
 
     from heli_lab.watch.forecast import draw_forecasts, errors_json, forecasts_of, horizon_errors
@@ -78,12 +77,13 @@ def predict(
     if start_s is not None and stop_s is not None and stop_s <= start_s:
         raise typer.BadParameter(f"--from {start_s:g} is not before --to {stop_s:g}; give an earlier --from")
     loaded_rig = load_rig(rig)
-    model = model_named(
-        loaded_rig.model or option.DEFAULT_MODEL, effects_with(loaded_rig, (), effect_file or ())
-    )
+    model = option.model_of(loaded_rig, effect_files=effect_file or ())
     baseline_rig = loaded_rig if baseline is None else load_rig(baseline)
-    baseline_effects = () if baseline is None else effects_with(baseline_rig, (), effect_file or ())
-    baseline_model = model_named(baseline_rig.model or option.DEFAULT_MODEL, baseline_effects)
+    baseline_model = (
+        model_named(model.name)
+        if baseline is None
+        else option.model_of(baseline_rig, effect_files=effect_file or ())
+    )
     has_baseline = baseline is not None or bool(model.effects)
     with WorkBar() as bar:
         bar.show("reading", 0.0)
@@ -113,6 +113,7 @@ def _table(
     forecasts: Forecasts, rows: Sequence[HorizonErrors], rig: str, baseline_name: str | None
 ) -> list[str]:
     """Write the errors as a table, with the conditions in which they were measured."""
+    import numpy as np
     from heli_host.data.log.comparison import table_lines
     from heli_sim.model.effect import AXES
 
@@ -137,7 +138,7 @@ def _table(
                     f"{row.persistence[axis]:.3g}",
                 )
             )
-    (low_V, high_V), rates_deg_s = forecasts.range_V, forecasts.range_rad_s * 57.29577951308232
+    (low_V, high_V), rates_deg_s = forecasts.range_V, np.rad2deg(forecasts.range_rad_s)
     rates = ", ".join(
         f"{axis} {low:.0f} to {high:.0f} deg/s" for axis, low, high in zip(AXES, *rates_deg_s, strict=True)
     )

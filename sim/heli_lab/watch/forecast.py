@@ -317,36 +317,35 @@ def horizon_errors(forecasts: Forecasts, baseline: Forecasts | None) -> list[Hor
     flight is too short for is left out.
     """
     baselines = None if baseline is None else [baseline]
-    return pooled_errors([forecasts], baselines)
+    rows = (errors_at(horizon_s, [forecasts], baselines) for horizon_s in HORIZONS_s)
+    return [row for row in rows if row is not None]
 
 
-def pooled_errors(
-    forecasts: Sequence[Forecasts], baselines: Sequence[Forecasts] | None
-) -> list[HorizonErrors]:
-    """Compare the forecasts of several flights together, see `horizon_errors`."""
-    rows = []
-    for horizon, horizon_s in enumerate(HORIZONS_s):
-        squares = np.concatenate([flight.squares_rad2(horizon) for flight in forecasts])
-        is_compared = np.isfinite(squares).all(axis=1)
-        if not is_compared.any():
-            continue
-        persistence = np.concatenate([flight.persistence_rad2(horizon) for flight in forecasts])
-        reduction = None
-        if baselines is not None:
-            reduction = error_reduction(
-                [_by_part(flight, horizon) for flight in baselines if _reaches(flight, horizon)],
-                [_by_part(flight, horizon) for flight in forecasts if _reaches(flight, horizon)],
-            )
-        rows.append(
-            HorizonErrors(
-                horizon_s,
-                int(is_compared.sum()),
-                _rms_deg(squares[is_compared]),
-                _rms_deg(persistence[is_compared]),
-                reduction,
-            )
+def errors_at(
+    horizon_s: float, forecasts: Sequence[Forecasts], baselines: Sequence[Forecasts] | None
+) -> HorizonErrors | None:
+    """Compare the forecasts of several flights at one of `HORIZONS_s` with persistence and with baselines of
+    the same flights; None if all flights are too short.
+    """
+    horizon = HORIZONS_s.index(horizon_s)
+    squares = np.concatenate([flight.squares_rad2(horizon) for flight in forecasts])
+    is_compared = np.isfinite(squares).all(axis=1)
+    if not is_compared.any():
+        return None
+    persistence = np.concatenate([flight.persistence_rad2(horizon) for flight in forecasts])
+    reduction = None
+    if baselines is not None:
+        reduction = error_reduction(
+            [_by_part(flight, horizon) for flight in baselines if _reaches(flight, horizon)],
+            [_by_part(flight, horizon) for flight in forecasts if _reaches(flight, horizon)],
         )
-    return rows
+    return HorizonErrors(
+        horizon_s,
+        int(is_compared.sum()),
+        _rms_deg(squares[is_compared]),
+        _rms_deg(persistence[is_compared]),
+        reduction,
+    )
 
 
 def _reaches(forecasts: Forecasts, horizon: int) -> bool:

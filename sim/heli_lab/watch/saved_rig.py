@@ -21,7 +21,7 @@ from heli_lab.explain.prediction import ErrorReduction
 from heli_lab.explain.result import Diagnosis
 from heli_lab.explain.thresholds import MATTERS_COUNTS
 from heli_lab.fit.records import Record
-from heli_lab.watch.forecast import Forecasts, HorizonErrors, forecasts_of, pooled_errors
+from heli_lab.watch.forecast import Forecasts, HorizonErrors, errors_at, forecasts_of
 from heli_lab.watch.learn import learn_disturbances
 from heli_lab.watch.steps import count_rad_of
 
@@ -93,19 +93,20 @@ def saved_rig(
             return result.rig(name, with_unconfirmed=with_unconfirmed)
         return result.rig(name, with_unconfirmed=False, only=causes)
 
-    forecast = _Forecaster(judged, model_of)
     left_out: list[LeftOutCause] = []
     remaining = list(ids)
+    whole_rig = rig_with(remaining)
+    forecast = _Forecaster(judged, model_of, whole_rig)
     try:
         baseline = forecast(rig_with([])) if ids else None
-        of_rig = forecast(rig_with(remaining))
+        of_rig = forecast(whole_rig)
         while baseline is not None and remaining:
             errors = at_horizon(of_rig, baseline)
             axis = worst_axis(errors, forecast.count_deg)
             if axis is None:
                 break
             assert errors.reduction is not None
-            harmful = _most_harmful(remaining, axis, lambda ids_: forecast(rig_with(ids_)), baseline)
+            harmful = _most_harmful(remaining, axis, lambda ids_: forecast(rig_with(ids_)))
             remedy = what_to_fly(axis, result.assessment.before.fit.problem.records, of_rig)
             left_out.append(LeftOutCause(harmful, axis, errors.reduction[axis], remedy))
             remaining.remove(harmful)
@@ -116,20 +117,18 @@ def saved_rig(
 
 
 class _Forecaster:
-    """Forecasts of the judged flights with a rig; each rig is computed once."""
+    """Forecasts of the judged flights with a rig; each rig is computed once. `rig` states the encoders."""
 
-    def __init__(self, judged: Sequence[JudgedFlight], model_of: Callable[[Rig], Model]) -> None:
+    def __init__(self, judged: Sequence[JudgedFlight], model_of: Callable[[Rig], Model], rig: Rig) -> None:
         self._judged, self._model_of = judged, model_of
+        counts_rad = [count_rad_of(flight, rig) for _, flight, _ in judged]
+        self.count_deg: Floats = np.rad2deg(np.max(counts_rad, axis=0, initial=0.0))  # (3,): A count
         self._known: dict[tuple[str, ...], list[Forecasts]] = {}
-        self.count_deg: Floats = np.zeros(3)
 
     def __call__(self, rig: Rig) -> list[Forecasts]:
         key = tuple(sorted(rig.effects))
         if key not in self._known:
-            model = self._model_of(rig)
-            for _, flight, _ in self._judged:
-                self.count_deg = np.maximum(self.count_deg, np.rad2deg(count_rad_of(flight, rig)))
-            self._known[key] = self._forecasts(model, rig)
+            self._known[key] = self._forecasts(self._model_of(rig), rig)
         return self._known[key]
 
     def _forecasts(self, model: Model, rig: Rig) -> list[Forecasts]:
@@ -148,10 +147,10 @@ class _Forecaster:
 
 def at_horizon(forecasts: Sequence[Forecasts], baseline: Sequence[Forecasts] | None) -> HorizonErrors:
     """Return the errors at `HORIZON_s`; a TwinError is raised if no flight is long enough."""
-    for row in pooled_errors(forecasts, baseline):
-        if row.horizon_s == HORIZON_s:
-            return row
-    raise TwinError(f"no flight lasts {HORIZON_s:g} s after the first forecast", "give a longer flight")
+    errors = errors_at(HORIZON_s, forecasts, baseline)
+    if errors is None:
+        raise TwinError(f"no flight lasts {HORIZON_s:g} s after the first forecast", "give a longer flight")
+    return errors
 
 
 def worst_axis(errors: HorizonErrors, count_deg: Floats) -> str | None:
@@ -168,17 +167,14 @@ def worst_axis(errors: HorizonErrors, count_deg: Floats) -> str | None:
 
 
 def _most_harmful(
-    ids: Sequence[str],
-    axis: str,
-    forecast_with: Callable[[Sequence[str]], list[Forecasts]],
-    baseline: Sequence[Forecasts],
+    ids: Sequence[str], axis: str, forecast_with: Callable[[Sequence[str]], list[Forecasts]]
 ) -> str:
     """Return the cause without which the error of an axis is smallest."""
     if len(ids) == 1:
         return ids[0]
 
     def error_without(id_: str) -> float:
-        errors = at_horizon(forecast_with([other for other in ids if other != id_]), baseline)
+        errors = at_horizon(forecast_with([other for other in ids if other != id_]), None)
         return errors.with_causes[axis]
 
     return min(ids, key=error_without)
@@ -197,8 +193,8 @@ def what_to_fly(axis: str, fitted: Iterable[Record], judged: Sequence[Forecasts]
             "add it to the flights to fit."
         )
     return (
-        f"Fly one more flight like {labels}, fit both, and validate on a third one: the cause is wrong if "
-        f"{axis} is still forecast worse."
+        f"Fly one more flight like {labels}, fit both flights, and validate on a third flight: the cause is "
+        f"wrong if {axis} is still forecast worse."
     )
 
 

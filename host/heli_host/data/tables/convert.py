@@ -13,7 +13,7 @@ import numpy as np
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.data.tables.profile import MOTORS, Angle, Part, Profile, Voltage
-from heli_host.data.tables.rows import equal_runs, settle_blank_cells, timed_rows
+from heli_host.data.tables.rows import equal_runs, runs_of, settle_blank_cells, timed_rows
 from heli_host.data.tables.table import COUNT, SHARES, VOLTAGE_UNITS, RowChange, Table, split_unit
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
@@ -305,8 +305,7 @@ def _standing(rows: _Rows) -> Booleans:
 
 def _standing_change(t_s: Floats, stands: Booleans) -> RowChange:
     """Describe rows that a failed link repeats."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], stands.astype(int), [0]))))
-    spans = [f"{t_s[a - 1]:.3f} to {t_s[b - 1]:.3f} s" for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    spans = [f"{t_s[start - 1]:.3f} to {t_s[stop - 1]:.3f} s" for start, stop in runs_of(stands)]
     more = f" and {len(spans) - 4} other parts" if len(spans) > 4 else ""
     return RowChange(
         "left out",
@@ -521,10 +520,9 @@ def _usable_stretches(
     steps_s = np.diff(t_s)
     breaks = np.flatnonzero((steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
     breaks = np.union1d(breaks, jumps)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], is_included.astype(int), [0]))))
     parts = [
         (int(first), int(after_last))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        for start, stop in runs_of(is_included)
         for first, after_last in itertools.pairwise(
             [start, *breaks[(breaks > start) & (breaks < stop)], stop]
         )

@@ -554,5 +554,10 @@ def equal_runs(t_s: Floats, values: Floats) -> list[tuple[int, int]]:
     Returns the first row of each part and the row after its last. Shapes: `t_s` (n,), `values` (n, columns).
     """
     equal = (values[1:] == values[:-1]).all(axis=1) & (np.diff(t_s) > 0.0)
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], equal.astype(int), [0]))))
-    return [(int(start), int(stop) + 1) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+    return [(start, stop + 1) for start, stop in runs_of(equal)]
+
+
+def runs_of(mask: Booleans) -> list[tuple[int, int]]:
+    """Return the first row of each run of true rows, and the row after its last. Shapes: `mask` (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(int), [0]))))
+    return [(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
