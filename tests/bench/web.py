@@ -93,7 +93,7 @@ def speed(browser: Browser, page: Path, address: str, plan: str = "") -> tuple[f
     """
     with opened(browser, page, address) as tab:
         if plan:
-            tell(tab, {"text": json.dumps({"do": "fly", "id": "bench", "plans": [plan] * 20})})
+            tell(tab, {"text": json.dumps({"do": "fly", "id": "bench", "plans": [plan] * 80})})
         else:
             take_off(tab)
         tell(tab, {"lab": {"speed": 1e4}})
