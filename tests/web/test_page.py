@@ -25,6 +25,10 @@ HIDE = """hidden => {
   Object.defineProperty(document, "hidden", {value: hidden, configurable: true});
   document.dispatchEvent(new Event("visibilitychange"));
 }"""
+WATCH_PITCH = """() => {
+  window.largestPitch = 0;
+  setInterval(() => { largestPitch = Math.max(largestPitch, heliPage.history.latest(1)); }, 5);
+}"""
 MAX_BYTES = 1_500_000
 HOSTILE_ADDRESSES = (
     "a" * 5000, "%00%ff%", "rig=../../etc/passwd", "rig=", "board=real", "board=", "seed=-1", "seed=1e99",
@@ -118,6 +122,20 @@ def test_faults_of_the_rig_reach_the_board(chromium: Browser, single_page: Path)
         click(tab, "#tab-lab")
         click(tab, "[data-fault='motor supply off']")
         until(tab, "['fault', 'emergency landing'].includes(document.querySelector('#state').textContent)")
+
+
+def test_a_push_in_the_air_turns_its_axis(chromium: Browser, single_page: Path) -> None:
+    with opened(chromium, single_page, "speed=10") as tab:
+        click(tab, "#tab-lab")
+        until(tab, "heliPage.history.latestTick > 50")
+        click(tab, "[data-push='pitch']")
+        expect(tab.locator("#lab-message")).to_contain_text("take off first")
+        tab.evaluate("heliLab.tellWorker({text: JSON.stringify({do: 'take_off', id: 'test'})})")
+        until(tab, "heliPage.status.state === 2 && heliPage.history.latest(0) > -0.1")
+        tab.evaluate(WATCH_PITCH)
+        click(tab, "[data-push='pitch']")
+        expect(tab.locator("#event-list")).to_contain_text("pitch is pushed")
+        until(tab, "largestPitch > 0.05")
 
 
 def test_a_slider_changes_the_effect_in_flight_and_the_address_holds_it(

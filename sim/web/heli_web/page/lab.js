@@ -4,6 +4,7 @@ import { defaultSettings, readAddress, SettingsError, writeAddress } from "./set
 const $ = (id) => document.getElementById(id);
 const AXES = ["elevation", "pitch", "travel"];
 const BOARDS = { native: "native flight code", due: "emulated Due with the firmware file" };
+const PUSHES_deg_s = { elevation: 15, pitch: 40, travel: 15 }; // large enough to be seen, small enough for the loops of the board
 const LINK_MAX = 2000;
 
 function element(name, properties = {}, ...children) {
@@ -28,7 +29,7 @@ class Lab {
     options($("lab-effect"), [["", "none"], ...facts.effects.map(({ id, sentence }) => [id, `${id}: ${sentence}`])]);
     $("lab-effects").hidden = Boolean(facts.puzzle);
     $("lab-puzzle").hidden = !facts.puzzle;
-    this.faults();
+    this.pushesAndFaults();
     for (const id of ["lab-rig", "lab-board", "lab-effect", "lab-seed"]) $(id).addEventListener("change", () => this.choose());
     $("lab-speed").addEventListener("input", () => this.speed());
     $("lab-pause").addEventListener("click", () => this.tellWorker({ lab: { pause: $("lab-pause").getAttribute("aria-pressed") !== "true" } }));
@@ -129,7 +130,7 @@ class Lab {
     }));
   }
 
-  faults() {
+  pushesAndFaults() {
     const toggle = (text, send) => {
       const button = element("button", { type: "button" }, text);
       button.dataset.fault = text;
@@ -141,6 +142,12 @@ class Lab {
       });
       return button;
     };
+    $("lab-pushes").replaceChildren(...AXES.map((axis) => {
+      const button = element("button", { type: "button" }, `push ${axis}`);
+      button.dataset.push = axis;
+      button.addEventListener("click", () => this.tellWorker({ lab: { push: { axis, deg_s: PUSHES_deg_s[axis] } } }));
+      return button;
+    }));
     $("lab-faults").replaceChildren(
       ...AXES.map((axis) => toggle(`${axis} plug off`, (on) => ({ encoder: { axis, out: on } }))),
       toggle("motor supply off", (on) => ({ supply: !on })), toggle("cable cut", (on) => ({ cable: on })), toggle("stop switch pressed", (on) => ({ stop_switch: on })));

@@ -12,6 +12,7 @@ const MAX_BEHIND_MS = 100; // more is not caught up: the page was suspended, or 
 const MAX_ROWS = 1 << 16, MAX_UNSHOWN = 8, HUNG_MS = 3000;
 const HEADER = 24, THINNED = 1, RESET = 2;
 const YOU = "page";
+const AXES = ["elevation", "pitch", "travel"];
 
 let facts = null, factory = null, elf = null, settings = null;
 let host = null, replay = null, reading = null, ready = false;
@@ -129,8 +130,12 @@ const LAB = {
     host.world.setDelay(setup.delay_s);
     for (const [name, value] of Object.entries(values)) if (!facts.puzzle) host.announce("effect", `${name}: ${value}`);
   },
+  push: ({ axis, deg_s }) => {
+    if (!host.world.push(AXES.indexOf(axis), (deg_s * Math.PI) / 180)) throw new HeliError("the arm rests, and does not yield to a push", "take off first");
+    host.announce("rig", `${axis} is pushed: its rate changes by ${deg_s} deg/s`);
+  },
   encoder: ({ axis, out }) => {
-    host.world.board.set_encoder_out(["elevation", "pitch", "travel"].indexOf(axis), out);
+    host.world.board.set_encoder_out(AXES.indexOf(axis), out);
     host.announce("rig", `plug of the ${axis} encoder ${out ? "off" : "back"}`);
   },
   supply: (on) => { host.world.board.set_supply_on(on); host.announce("rig", `supply of the motors ${on ? "on" : "off"}`); },

@@ -20,6 +20,7 @@ export class World {
     board._initialize();
     this.tick = 0;
     this.count = setup.state.length;
+    this.rest_rad = setup.state[0];
     this.plant = new WebAssembly.Instance(setup.plant, { env: board }).exports;
     const step = board.__indirect_function_table.grow(1);
     board.__indirect_function_table.set(step, this.plant.step);
@@ -74,6 +75,13 @@ export class World {
   get volts() { return [...new Float64Array(this.board.memory.buffer, this.board.volts(), 2)]; }
 
   setParameters(values) { this.withNumbers(values, (place) => this.board.set_parameters(place, values.length)); }
+
+  // Changes the rate of an axis within one tick, as a tap with a finger does. Returns whether the arm is free to follow.
+  push(axis, rate_rad_s) {
+    const state = new Float64Array(this.board.memory.buffer, this.board.state(), this.count);
+    state[AXES + axis] += rate_rad_s;
+    return state[0] > this.rest_rad;
+  }
 
   setDelay(delay_s) { this.board.set_delay(delay_s); }
 }
