@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
 import sys
 import tomllib
 from importlib.metadata import version as version_of
@@ -21,6 +23,20 @@ release = version_of(tomllib.loads((HERE.parent / "pyproject.toml").read_text())
 version = release
 
 FLY_NOW = "Fly it now"
+
+
+def repository_links() -> dict[str, Any]:
+    """Options of the theme that link to the repository that the site was built from; none for a local one."""
+    command = ["git", "-C", str(HERE), "remote", "get-url", "origin"]
+    origin = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
+    address = re.sub(r"^git@([^:]+):", r"https://\1/", origin).removesuffix(".git")
+    if not address.startswith("https://"):
+        return {}
+    icon = {"name": "Repository", "url": address, "html": "Repository", "class": ""}
+    source = {"source_repository": address, "source_branch": "main", "source_directory": "docs/"}
+    return {**source, "footer_icons": [icon]}
+
+
 has_api: bool = not tags.has("without_api")  # type: ignore[name-defined]  # noqa: F821 - Sphinx puts it here
 extensions = ["myst_parser", "mathml", "verbs", *(["sphinx.ext.autodoc", "numpydoc"] if has_api else [])]
 source_suffix = {".md": "markdown"}
@@ -47,14 +63,14 @@ python_use_unqualified_type_names = True
 python_maximum_signature_line_length = 90
 
 html_theme = "furo"
-html_title = "heli-lab"
+html_title = f"heli-lab {release}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False
-html_theme_options = {"navigation_with_keys": True}
+html_theme_options = {"navigation_with_keys": True, **repository_links()}
 pygments_style = "a11y-high-contrast-light"
 pygments_dark_style = "a11y-high-contrast-dark"
 autosummary_generate = False

@@ -1,4 +1,4 @@
-"""Twenty questions of newcomers, and whether the site's own search finds the page that answers each.
+"""Questions of newcomers, and whether the site's own search finds the page that answers each.
 
     python -m tests.repo.site_search [FOLDER]      FOLDER: a built site, build/docs if none is given
 
@@ -53,6 +53,10 @@ QUESTIONS = (
     ("add an effect, a verb, a telemetry channel, a controller", ("how-to/questions", "how-to/extending")),
     ("thousand simulations on our cluster", ("how-to/questions", "how-to/campaigns")),
     ("cite licence", ("how-to/questions", "index")),
+    ("license", ("how-to/questions", "index")),
+    ("cite", ("how-to/questions", "index")),
+    ("photo", ("how-to/questions",)),
+    ("windows", ("how-to/platforms",)),
 )
 
 

@@ -21,11 +21,17 @@ NOT_PAGES = {"figures/README.md", "laws/README.md", "matlab/README.md"}
 TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
+def written_pages() -> list[Path]:
+    """All pages but those that a build of the site writes, one per verb."""
+    return [path for path in sorted(DOCS.rglob("*.md")) if path.parent != DOCS / "reference" / "verbs"]
+
+
 def children(page: Path) -> list[Path]:
     """Pages that the trees of contents of a page name."""
     lines = [line for body in TOCTREE.findall(page.read_text()) for line in body.splitlines()]
-    # A title may stand before the page: Install <how-to/platforms>.
-    names = [re.sub(r".*<(.*)>$", r"\1", line) for line in lines if line and not line.startswith(":")]
+    # A title may stand before the page: Install <how-to/platforms>. A build writes pages that match a star.
+    named = [line for line in lines if line and not line.startswith(":") and "*" not in line]
+    names = [re.sub(r".*<(.*)>$", r"\1", line) for line in named]
     return [Path(os.path.normpath(page.parent / f"{name}.md")) for name in names]
 
 
@@ -35,14 +41,26 @@ def reached(page: Path) -> set[Path]:
 
 
 def test_the_tree_of_contents_reaches_every_page() -> None:
-    pages = {path for path in DOCS.rglob("*.md") if str(path.relative_to(DOCS)) not in NOT_PAGES}
+    pages = {path for path in written_pages() if str(path.relative_to(DOCS)) not in NOT_PAGES}
     assert reached(DOCS / "index.md") == pages
 
 
 def test_every_page_is_in_one_of_the_five_folders() -> None:
-    pages = {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")} - NOT_PAGES
+    pages = {str(path.relative_to(DOCS)) for path in written_pages()} - NOT_PAGES
     outside = {page for page in pages if page.partition("/")[0] not in FOLDERS}
     assert outside == {"index.md", "course/README.md"}
+
+
+def linked(page: Path) -> set[Path]:
+    """Pages that a page links to, in its text or in its tree of contents."""
+    links = re.findall(r"\]\(([^)#\s]+\.md)", page.read_text())
+    return {Path(os.path.normpath(page.parent / link)) for link in links}.union(children(page))
+
+
+def test_every_page_is_within_two_links_of_the_readme() -> None:
+    near = linked(ROOT / "README.md")
+    near = near.union(*(linked(page) for page in near if page.is_relative_to(DOCS)))
+    assert {path for path in written_pages() if str(path.relative_to(DOCS)) not in NOT_PAGES} <= near
 
 
 @pytest.mark.parametrize("name", ["overview", "rig"])
@@ -69,6 +87,8 @@ def test_the_site_builds_without_a_warning_and_its_search_finds_answers(tmp_path
     assert not missed, "the search does not find the answers"
     assert "<math" in (site / "reference/effects.html").read_text()
     assert 'class="gp">$ ' in (site / "how-to/flying.html").read_text()
+    assert 'href="verbs/diagnose.html"' in (site / "reference/command-line.html").read_text()
+    assert "--validate" in (site / "reference/verbs/diagnose.html").read_text()
 
 
 @pytest.mark.documents

@@ -454,7 +454,8 @@ def draw_forecasts(
             path_deg = np.rad2deg(forecasts.path_rad[start, points, number])
             flight_ax.plot(forecasts.path_s[points] + start_s, path_deg, color="#0b5394", lw=0.8)
         flight_ax.set_ylabel(f"{axis}, deg")
-    all_axes[0, 0].legend(fontsize=8)
+    # Below the plots, where it covers no curve.
+    figure.legend(*all_axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3, fontsize=8)
     all_axes[0, 1].set_title(f"{forecasts.label}: measured, and forecasts from the present state", fontsize=9)
     all_axes[-1, 0].set_xlabel("horizon, s")
     all_axes[-1, 1].set_xlabel("time, s")

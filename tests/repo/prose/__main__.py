@@ -24,6 +24,8 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
 GLOSSARY = ROOT / "docs/reference/glossary.md"
 WRITTEN_BY_PROGRAMS = ("docs/reference/link.md", "docs/reference/faults.md", "docs/reference/parameters.md")
+VERBS = "docs/reference/verbs/"
+"""Pages that a build of the site writes."""
 # READMEs of folders, which the site leaves out.
 NOT_PAGES = ("docs/figures/README.md", "docs/laws/README.md", "docs/matlab/README.md")
 
@@ -79,7 +81,7 @@ def report_words(root: Path = ROOT) -> None:
     print("sentences  tables  page")
     for page in sorted((root / "docs").rglob("*.md")):
         name = page.relative_to(root).as_posix()
-        if name in WRITTEN_BY_PROGRAMS or name in NOT_PAGES:
+        if name in WRITTEN_BY_PROGRAMS or name in NOT_PAGES or name.startswith(VERBS):
             continue
         in_sentences, elsewhere = page_words(page, root)
         print(f"{in_sentences:9}  {elsewhere:6}  {name}")
