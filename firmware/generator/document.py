@@ -59,8 +59,8 @@ first_tick u32 | count u8 | widths {nibble_bytes} bytes | bases {base_bytes} byt
 |---|---|---|---|---|---|---|
 | bits of a delta | 0 | 2 | 4 | 8 | 16 | 32 |
 
-A value is its raw number times the scale, in the given unit. A count of an encoder is an angle of 2 pi / |`*_counts_per_rev`| rad, by the
-parameter of its axis. Samples, tables and logs contain every channel, with these names:
+A value is its raw number times the scale, in the given unit. One count of an encoder is an angle of 2 pi / |`*_counts_per_rev`| rad,
+with the parameter of its axis. Samples, tables and logs contain every channel, with these names:
 """
 
 FAULTS = """\

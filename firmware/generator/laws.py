@@ -88,9 +88,9 @@ In a sum of products, one word per term follows the instruction:
 **Cells** contain the {inputs} inputs, then constants, parameters and states, then the results of instructions. An instruction may only write a result, and
 only read cells before it. A new state may not come from the cell of a state, because that cell may have changed.
 
-**Arithmetic** rounds to nearest, ties to even, like IEEE 754 single precision. A result below its normal numbers is 0. A sum of products is rounded once, at its
-end; before that, it is exact to 2^-30 of its largest product. Host and board use the same integer arithmetic (`firmware/core/law`), so a tape
-gives the same bits everywhere.
+**Arithmetic** rounds to nearest, ties to even, like IEEE 754 single precision. A result below its normal numbers is 0. The products of
+a sum are added with an error of at most 2^-30 of the largest product, and the sum is rounded once. Host and board use the same integer
+arithmetic (`firmware/core/law`), so a tape gives the same bits everywhere.
 
 **Cost** in instructions of the processor:
 
