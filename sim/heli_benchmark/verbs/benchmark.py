@@ -114,7 +114,7 @@ def run(
     that you trust.
 
     With --scheduler, the cases run on the workers of a Dask cluster. The workers must see the folders of
-    split, method and resources under the same paths, and --workers does not apply.
+    split, method and resources under the same paths. --workers then has no effect.
 
     Example: `heli-host benchmark run public --method mymethod.py:diagnose -o runs/mymethod`
     """
