@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from heli_lab.setup.guess.names import meaning_of, meanings_of
+from heli_lab.setup.guess.names import direction_columns, meaning_of, meanings_of
 
 
 @pytest.mark.parametrize(
@@ -54,3 +54,14 @@ def test_a_duty_is_left_out_if_the_voltage_of_its_motor_is_logged() -> None:
         "front duty [%]",
     }
     assert meanings["PWM_h"].role == "back"
+
+
+def test_pitch_roll_and_yaw_of_an_aircraft_are_the_three_axes() -> None:
+    meanings = meanings_of(dict.fromkeys(("pitch", "roll", "yaw", "roll_ref"), ""))
+    assert [meaning.role for meaning in meanings.values()] == ["elevation", "pitch", "travel", "pitch"]
+    assert meanings["roll_ref"].quantity == "a setpoint"
+
+
+def test_the_column_of_a_direction_is_found_by_its_motor() -> None:
+    units = dict.fromkeys(("pwm_front", "dir_front", "duty_rear", "Drehrichtung hinten", "pitch"), "")
+    assert direction_columns(units) == {"pwm_front": "dir_front", "duty_rear": "Drehrichtung hinten"}

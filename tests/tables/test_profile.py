@@ -226,6 +226,23 @@ def test_filled_gaps_are_counted_in_the_notes() -> None:
     assert "filled" not in flights_of(complete, dataclasses.replace(PROFILE, parts={}))[0].meta
 
 
+def test_a_logged_direction_gives_sizes_their_sign(tmp_path: Path) -> None:
+    t_s: Floats = 0.01 * np.arange(300, dtype=np.float64)
+    volts = 2.0 + 4.0 * np.sin(3.0 * t_s)
+    columns = {name: Column(0.1 * t_s) for name in ("elevation", "pitch", "travel")}
+    columns |= {"t": Column(t_s), "size": Column(np.abs(volts)), "back": Column(volts)}
+    # Forwards is 0, the value with the larger voltages.
+    columns["dir"] = Column((volts < 0.0).astype(float))
+    content: dict[str, Any] = {name: {"column": name} for name in ("elevation", "pitch", "travel", "back")}
+    content |= {"time": {"column": "t"}, "front": {"column": "size", "sign_column": "dir"}}
+    profile = profile_of(content, "x.toml")
+    (flight,) = flights_of(Table("x.csv", columns), profile)
+    np.testing.assert_allclose(flight.front_V, volts)
+    path = tmp_path / "x.toml"
+    path.write_text(profile_text(profile), encoding="utf-8")
+    assert read_profile(path).voltages == profile.voltages
+
+
 def test_a_logged_supply_scales_shares_row_by_row(tmp_path: Path) -> None:
     t_s: Floats = 0.01 * np.arange(300, dtype=np.float64)
     duty = 50.0 + 10.0 * np.sin(3.0 * t_s)

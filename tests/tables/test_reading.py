@@ -57,6 +57,89 @@ def test_a_row_of_units_and_a_title(tmp_path: Path) -> None:
     assert [column.unit for column in table.columns.values()] == ["ms", "deg", "V"]
 
 
+STAMPS = [f"10:59:{t:06.3f}" for t in T_S]
+LINES = {
+    "serial monitor": [
+        "10:58:59.900 -> x,y",
+        *(f"{s} -> {x},{y}" for s, x, y in zip(STAMPS, X, Y, strict=True)),
+    ],
+    "serial plotter": [f"x:{x}\ty:{y}\tn:{i}" for i, (x, y) in enumerate(zip(X, Y, strict=True))],
+    "units and stamps": [
+        f"{s} -> n: {i} count, x: {x} deg, y: {y} V"
+        for i, (s, x, y) in enumerate(zip(STAMPS, X, Y, strict=True))
+    ],
+    "console": [
+        "ready",
+        *(f"[INFO] [{t + 1e9:.4f}] [heli]: n={t} x={x} y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),
+    ],
+}
+
+
+@pytest.mark.parametrize("kind", LINES)
+def test_lines_that_name_their_values_or_their_reception(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(LINES[kind]) + "\n")
+    table = read_table(path)
+    names = {split_unit(name)[0]: name for name in table.columns}
+    assert_same_columns(table, names["x"], names["y"])
+    if kind != "serial plotter":
+        times = table.columns["timestamp"].values
+        assert times[-1] - times[0] == pytest.approx(T_S[-1], abs=1e-3)
+
+
+def test_rows_above_a_repeated_header_are_rows(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    body = rows(",", ".").splitlines()
+    path.write_text("\n".join(["t,x,y", *body[:30], "t,x,y", *body[30:]]))
+    assert_same_columns(read_table(path))
+
+
+def test_cells_with_their_units(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "\n".join(["t,x,y", *(f"{t} s,{x} deg,{y} V" for t, x, y in zip(T_S, X, Y, strict=True))])
+    )
+    table = read_table(path)
+    assert_same_columns(table)
+    assert [column.unit for column in table.columns.values()] == ["s", "deg", "V"]
+
+
+def test_one_value_per_row_with_the_name_of_its_signal(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    body = [
+        f"{t},{name},{v}"
+        for t, *row in zip(T_S, X, Y, Y, strict=True)
+        for name, v in zip("xyz", row, strict=True)
+    ]
+    path.write_text("\n".join(["time,signal,value", *body]))
+    table = read_table(path)
+    assert_same_columns(table)
+    assert table.columns["x"].t_s == pytest.approx(T_S)
+
+
+def test_a_header_without_the_name_of_the_row_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    body = [f"{row + 1},{line}" for row, line in enumerate(rows(",", ".").splitlines())]
+    path.write_text("t,x,y\n" + "\n".join(body))
+    assert_same_columns(read_table(path))
+
+
+def test_a_header_with_too_few_names_is_refused_with_both_numbers(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,x\n" + rows(",", "."))
+    with pytest.raises(FlightDataError, match=r"names 2 columns \(t, x .*rows have 3 cells"):
+        read_table(path)
+
+
+def test_decimal_commas_of_a_clock_in_a_table_with_commas(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    cells = [f"{s.replace('.', ',')},{x},{y}" for s, x, y in zip(STAMPS, X, Y, strict=True)]
+    path.write_text("\n".join(["t,x,y", *cells]))
+    table = read_table(path)
+    assert_same_columns(table)
+    assert table.columns["t"].values == pytest.approx(T_S)
+
+
 CLOCKS = [
     [f"13:47:{20.0 + t:06.3f}" for t in T_S],
     [f"23:59:{59.0 + t:06.3f}" if t < 1.0 else f"00:00:{t - 1.0:06.3f}" for t in T_S],

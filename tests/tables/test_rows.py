@@ -176,6 +176,7 @@ TEXTS: Final = {
         [f"20260102_2359{50 + t:06.3f}" if t < 10 else f"20260103_0000{t - 10:06.3f}" for t in T_S],
         "s",
     ),
+    "durations": ([f"0 days 00:00:{t:09.6f}" for t in T_S], "s"),
     "brackets": ([f"[2026-01-02 03:04:{t:06.3f}]" for t in T_S], "s"),
     "noon": ([f"11:59:{50 + t:06.3f} AM" if t < 10 else f"12:00:{t - 10:06.3f} PM" for t in T_S], "s"),
     "midnight": ([f"11:59:{50 + t:06.3f} PM" if t < 10 else f"12:00:{t - 10:06.3f} AM" for t in T_S], "s"),
@@ -217,12 +218,15 @@ def test_angles_alone_that_stand_still_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("step", [1, 5], ids=["100 Hz", "20 Hz"])
-def test_two_angles_that_stand_still_while_the_third_goes_on_are_left_out(tmp_path: Path, step: int) -> None:
+@pytest.mark.parametrize("angles", [slice(3, 5), slice(3, 4)], ids=["two angles", "pitch"])
+def test_angles_that_stand_still_while_the_others_go_on_are_left_out(
+    tmp_path: Path, step: int, angles: slice
+) -> None:
     values = VALUES.copy()
-    values[400:700, 3:] = values[400, 3:]
+    values[400:620, angles] = values[400, angles]
     conversion = converted(tmp_path, lines(T_S[::step], values[::step]))
     (change,) = conversion.changes
-    assert change.rows == (300 - step) / step
+    assert change.rows == (220 - step) / step
     assert "stand still" in change.reason
 
 

@@ -152,7 +152,9 @@ def _write_mat(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
         int(rng.integers(4 if recording.clock_unit == "s" else 2))
     ]
     if not recording.has_header:
-        stacked = np.array([*([clock] if clock is not None else []), *columns.values()])
+        # Columns without names share the empty name, so that a mapping by names would lose them.
+        cells = [column.values[rows] for column in recording.columns]
+        stacked = np.array([*([clock] if clock is not None else []), *cells])
         savemat(path, {"data": stacked if rng.random() < 0.5 else stacked.T})
         return path
     variables = {_matlab_name(name): values for name, values in columns.items()}

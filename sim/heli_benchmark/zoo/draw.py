@@ -594,12 +594,12 @@ class _Drawing:
             unit, decimals = "ms", 0
             clock = np.mod(np.floor((t_s - t_s[0]) * 1e3) + 65536.0 - random.between(3e3, 2e4), 65536.0)
             clock = np.floor(clock)
-            self.reports["overflow"] = _REPORTS["overflow"]
+            self._note_overflow(clock)
         elif kind == "overflow 32 us":
             unit, decimals = "us", 0
             clock = np.mod(np.floor((t_s - t_s[0]) * 1e6) + 2.0**32 - random.between(3e6, 2e7), 2.0**32)
             clock = np.floor(clock)
-            self.reports["overflow"] = _REPORTS["overflow"]
+            self._note_overflow(clock)
         elif kind == "restart":
             first = int(true_s.size * random.between(0.35, 0.65))
             clock = np.where(np.arange(true_s.size) < first, t_s - t_s[0], t_s - t_s[first])
@@ -618,7 +618,7 @@ class _Drawing:
         else:
             texts = _clock_texts(kind, t_s, epoch_s, day_s)
             unit = ""
-        columns = tuple(column for column in columns if kind != "rows" or column.name != name)
+        columns = tuple(column for column in columns if kind != "rows" or not name or column.name != name)
         full_name, _ = self._header(name, unit) if name else ("", "")
         if unit in ("ms", "us", "ns", "min") and self.unit_style in ("none", "row") and self.style != "none":
             # A name without its unit leaves the unit to the steps, which only one unit fits.
@@ -637,6 +637,11 @@ class _Drawing:
             self.unit_style == "row",
         )
         return recording, rate_Hz
+
+    def _note_overflow(self, clock: Floats) -> None:
+        """Note that the counter overflows; a short file may end before."""
+        if (np.diff(clock) < 0.0).any():
+            self.reports["overflow"] = _REPORTS["overflow"]
 
     def _note_repeats(self, clock: Floats) -> None:
         """Note that times repeat, if the resolution of the clock is above the step of the rows."""

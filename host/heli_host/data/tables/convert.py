@@ -41,18 +41,21 @@ _SPIKE_RATIO: Final = 5.0
 """Size of a voltage, as a multiple of its 99 % quantile, from which a single row is damaged. Commands before
 their limit are at most some three times as large as usual."""
 _STAND_S: Final = 0.3
+_ONE_STAND_S: Final = 0.5
 _LONG_STAND_S: Final = 2.0
-"""Shortest part [s] in which a failed link repeats all angles: with a jump after it, and at the file's end.
-A hovering simulation without disturbances may repeat its counts for a second."""
+"""Shortest part [s] in which a failed link repeats angles: two or all with a jump after it, one angle with a
+jump after it, and all at the file's end. A hovering simulation without disturbances may repeat its counts for
+a second."""
 _STAND_JUMPS: Final = 2.0
-_STAND_COUNTS: Final = 3.0
+_STAND_STEPS: Final = 3.0
 _STAND_NEIGHBOURS: Final = 3
-"""Step after such a part, as a multiple of the largest of its neighbours on both sides, and of the smallest
-step of the file. An arm that rests for a moment leaves its rest with a step that is smaller than the next
+"""Step after such a part, as a multiple of the largest of its neighbours on both sides, and of a typical
+one of the file. An arm that rests for a moment leaves its rest with a step that is smaller than the next
 ones."""
+_OFF_TABLE_DEG: Final = 2.0
 _ALOFT_DEG: Final = 5.0
-"""Height above the lowest elevation from which the arm is in the air [deg]; the table is about 25 deg below
-level."""
+"""Height above the lowest elevation from which the arm does not rest on the table, and from which it is
+surely in the air [deg]; the table is about 25 deg below level."""
 _OFF_SHARE: Final = 0.02
 """Share of the largest voltage below which the motors are off."""
 
@@ -115,7 +118,9 @@ def convert(table: Table, profile: Profile) -> Conversion:
         resampled.append(_Resampling(recorded.t_s, even.t_s))
         notes = _notes_of_file(table, part)
         if stretch.start:
-            notes["cut"] = jumps.get(stretch.start) or _break_note(rows.t_s, stretch.start)
+            falls = rows.t_s[stretch.start] < rows.t_s[stretch.start - 1]
+            jump = "" if falls else jumps.get(stretch.start, "")
+            notes["cut"] = jump or _break_note(rows.t_s, stretch.start)
         notes |= _gap_note(recorded.t_s, len(even.t_s))
         voltages_V = {f"{motor}_V": volts for motor, volts in even.voltages_V.items()}
         columns: dict[str, Any] = {**voltages_V, **even.angles_rad}
@@ -272,33 +277,35 @@ def _complete_rows(rows: _Rows, table: Table, profile: Profile) -> tuple[_Rows, 
 
 
 def _standing(rows: _Rows) -> Booleans:
-    """Mark rows that a failed link repeats: two angles or all stay, although the motors work.
+    """Mark rows that a failed link repeats: an angle stays in the air, although the motors work.
 
-    After such a part, an angle jumps to where the arm has gone meanwhile. At the end of a file, a long part
-    in the air in which all angles stay counts without a jump. A rig may hover still for a moment. The third
-    angle may come by another link.
+    After such a part, the angle jumps to where the arm has gone meanwhile. At the end of a file, a long part
+    in which all angles stay counts without a jump. A rig may hover still for a moment. The other angles may
+    come by another link.
     """
     t_s = rows.t_s
     angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
     volts = np.column_stack(list(rows.voltages_V.values()))
     result = np.zeros(t_s.size, bool)
     step_rad = np.abs(np.diff(angles, axis=0))
-    count_rad = np.where(step_rad > 0.0, step_rad, np.inf).min(axis=0, initial=np.inf)
+    typical_rad = np.array([np.median(steps[steps > 0.0]) if steps.any() else np.inf for steps in step_rad.T])
     lowest_rad, largest_V = angles[:, 0].min(initial=np.inf), np.abs(volts).max(initial=0.0)
-    for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2]):
+    for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2], [0], [1], [2]):
+        shortest_s = _STAND_S if len(axes) > 1 else _ONE_STAND_S
         for start, stop in equal_runs(t_s, angles[:, axes]):
             length_s = float(t_s[stop - 1] - t_s[start])
-            if length_s < _STAND_S or np.abs(volts[start:stop]).max() < _OFF_SHARE * largest_V:
+            height_deg = float(np.degrees(angles[start, 0] - lowest_rad))
+            is_driven = np.abs(volts[start:stop]).max() >= _OFF_SHARE * largest_V
+            if length_s < shortest_s or height_deg < _OFF_TABLE_DEG or not is_driven:
                 continue
             before = step_rad[max(start - _STAND_NEIGHBOURS, 0) : start]
             neighbours = np.concatenate((before, step_rad[stop : stop + _STAND_NEIGHBOURS]))
             usual_rad = np.maximum(
-                _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), _STAND_COUNTS * count_rad
+                _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), _STAND_STEPS * typical_rad
             )
             jumps = stop < t_s.size and bool((step_rad[stop - 1] > usual_rad)[axes].any())
-            is_aloft = np.degrees(angles[start, 0] - lowest_rad) > _ALOFT_DEG
             ends = stop == t_s.size and len(axes) == len(AXES)
-            if jumps or (ends and length_s > _LONG_STAND_S and is_aloft):
+            if jumps or (ends and length_s > _LONG_STAND_S and height_deg > _ALOFT_DEG):
                 result[start + 1 : stop] = True
     return result
 
@@ -446,10 +453,25 @@ def _angle_rad_of(table: Table, angle: Angle, t_s: Floats, turns_freely: bool) -
 def _voltage_V_of(table: Table, voltage: Voltage, t_s: Floats) -> Floats:
     """Return a voltage [V], shape (n,), from its column: apply supply, delay, unit, sign and offset."""
     values = _values_of_column(table, voltage.column)
+    if voltage.sign_column:
+        values = with_direction(values, _values_of_column(table, voltage.sign_column))
     if voltage.supply_column and voltage.unit in SHARES:
         values = values * _supply_V_of(table, voltage.supply_column) / voltage.supply_V
     delay_free = _without_delay(values, t_s, voltage.delay_s)
     result: Floats = voltage.sign * voltage.volts * delay_free + voltage.offset_V
+    return result
+
+
+def with_direction(values: Floats, direction: Floats) -> Floats:
+    """Give the sizes of a voltage the sign of its `direction`, if this column has two values.
+
+    The rotors have to carry the arm, so the direction with the larger voltages is forwards.
+    """
+    kinds = np.unique(direction[np.isfinite(direction)])
+    if kinds.size != 2:
+        return values
+    forwards = max(kinds, key=lambda kind: float(np.nansum(np.abs(values[direction == kind]))))
+    result: Floats = np.where(direction == forwards, np.abs(values), -np.abs(values))
     return result
 
 

@@ -55,6 +55,9 @@ class Voltage:
     """Factor of the column, such as 2 for half a sum, or the gain of an amplifier after the output."""
     supply_column: str = ""
     """Column of the supply voltage, if it was logged; it replaces `supply_V` row by row."""
+    sign_column: str = ""
+    """Column with the direction of the motor, if the column has only the size. It has two values; at the one
+    with the larger voltages, the motor turns forwards."""
 
     @property
     def volts(self) -> float:
@@ -267,7 +270,9 @@ class _Reader:
     def voltage(self, content: Mapping[str, Any], name: str, shared: Mapping[str, Any]) -> Voltage:
         """Read the table of a voltage; entries that it lacks come from `shared`."""
         entry = self.table(content, name)
-        self.refuse_unknown(entry, {"column", "sign", "offset_V", "delay_s", *_SHARED}, f"{name}.")
+        self.refuse_unknown(
+            entry, {"column", "sign", "offset_V", "delay_s", "sign_column", *_SHARED}, f"{name}."
+        )
         entry = {**shared, **entry}
         return Voltage(
             self.text(entry, "column", None),
@@ -279,6 +284,7 @@ class _Reader:
             self.number(entry, "delay_s", 0.0),
             self.positive(entry, "factor", 1.0),
             self.text(entry, "supply_column", ""),
+            self.text(entry, "sign_column", ""),
         )
 
     def part(self, entry: Mapping[str, Any]) -> tuple[str, Part]:
@@ -327,6 +333,8 @@ def profile_text(profile: Profile) -> str:
 def _voltage_lines(voltage: Voltage, scale_lines: list[str]) -> list[str]:
     """Return the entries of a voltage as TOML, with the lines of its scale."""
     lines = [f"column = {toml_string(voltage.column)}", f"sign = {voltage.sign:g}", *scale_lines]
+    if voltage.sign_column:
+        lines.append(f"sign_column = {toml_string(voltage.sign_column)}")
     if voltage.offset_V:
         lines.append(f"offset_V = {voltage.offset_V!r}")
     if voltage.delay_s:

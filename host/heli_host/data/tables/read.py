@@ -190,6 +190,7 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
     import pandas
 
     columns: dict[str, Column] = {}
+    unread: dict[str, str] = {}
     if frame.index.name is not None or isinstance(frame.index, pandas.DatetimeIndex | pandas.TimedeltaIndex):
         frame = frame.reset_index()
     for name in frame.columns:
@@ -207,11 +208,13 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
                 values, unit = at_s, "s"
         if np.isfinite(values).mean() > _MIN_SHARE:
             columns[str(name)] = Column(values, unit)
+        elif series.notna().mean() > _MIN_SHARE:
+            unread[str(name)] = str(series.dropna().iloc[-1])
     if not columns:
         raise FlightDataError(
             f"{path}: the file has no columns of numbers", "give a table with one row per sample"
         )
-    return Table(str(path), columns)
+    return Table(str(path), columns, unread=unread)
 
 
 _MAX_VALUES: Final = 64

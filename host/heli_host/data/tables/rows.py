@@ -274,7 +274,7 @@ class _Clock:
         is_tidy = (np.diff(times[order]) > 0.5 * self.step).all()
         if is_tidy and float(np.ptp(times)) / self.step < 2.0 * cluster.size + _EDGE_STEPS:
             return cluster[order], np.zeros(0, int)
-        backbone = _longest_rise(times)
+        backbone = longest_rise(times)
         is_displaced = np.ones(times.size, bool)
         is_displaced[backbone] = False
         rest = times[backbone]
@@ -308,7 +308,7 @@ def _typical_step(times: Floats) -> float:
     return float(np.median(-steps[steps < 0.0] if is_falling else steps[steps > 0.0]))
 
 
-def _longest_rise(times: Floats) -> Integers:
+def longest_rise(times: Floats) -> Integers:
     """Return the positions of a longest part of `times` that never falls."""
     tops: list[float] = []
     top_at: list[int] = []

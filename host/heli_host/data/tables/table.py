@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -35,6 +35,10 @@ class Column:
 _MAX_AGE: Final = 5.0
 """Age of a signal's last value, in its typical intervals, above which the signal counts as lost. Five rows is
 also the longest gap that a conversion fills."""
+_SIMULTANEOUS: Final = 0.25
+"""Time by which a value may come after a row and still belong to it, as a share of the shorter interval.
+Messages of one moment reach a recorder in changing order; without this, half of the rows would have the value
+of the row before."""
 _MAX_PAUSES: Final = 0.01
 """Share of longer pauses above which a signal is one that programs send only when it changes."""
 
@@ -73,6 +77,8 @@ class Table:
     notes: str = ""  # Notes in the file
     named: bool = True  # Whether the file contains the names
     changes: tuple[RowChange, ...] = ()  # Rows of the file that were left out or repaired so far
+    unread: Mapping[str, str] = field(default_factory=dict)
+    """A cell of each column that contains neither numbers nor times, by the column's name."""
 
     def __len__(self) -> int:
         return max((column.values.size for column in self.columns.values()), default=0)
@@ -128,9 +134,11 @@ class Table:
 
 def _at_times(values: Floats, value_times_s: Floats, t_s: Floats, is_interpolated: bool) -> Floats:
     """Bring a signal to other times; nan where it has no value any more. Shapes: `t_s` (n,); returns (n,)."""
-    last_rows = np.clip(np.searchsorted(value_times_s, t_s, side="right") - 1, 0, None)
-    result: Floats = np.interp(t_s, value_times_s, values) if is_interpolated else values[last_rows]
     intervals_s = np.diff(value_times_s)
+    shortest_s = float(min(np.median(intervals_s), np.median(np.diff(t_s)))) if intervals_s.size else 0.0
+    due_s = t_s + _SIMULTANEOUS * max(shortest_s, 0.0)
+    last_rows = np.clip(np.searchsorted(value_times_s, due_s, side="right") - 1, 0, None)
+    result: Floats = np.interp(t_s, value_times_s, values) if is_interpolated else values[last_rows]
     if not intervals_s.size:
         return result
     longest_s = _MAX_AGE * float(np.median(intervals_s))
@@ -228,6 +236,8 @@ _CLOCK_FIRST: Final = r"^\s*\d{1,2}:\d{2}.*(?:[AaPp]\.?[Mm]\.?|\d[-/.]\d{1,2}[-/
 """Times of 12 hours, or before a date."""
 _HAS_DAY: Final = r"\d[-/]\d|\d\.\d+\.\d|\d{8}"
 _COMPACT: Final = r"^(\d{4})(\d{2})(\d{2})[T_\s]+(\d{2}):?(\d{2}):?"
+_DURATION: Final = re.compile(r"^(\d+) days? \+?(\d{1,2})(?=:\d{2}:)")
+"""Durations as pandas writes them, such as `0 days 00:00:01.25`."""
 _MIN_CLOCK_SHARE: Final = 0.8
 """Share of the cells that must be times: lines may be damaged, and a column of remarks has no times."""
 _DAY_S: Final = 86400.0
@@ -240,6 +250,7 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
     # A label before all times, or brackets around them, are no part of them.
     text = cells.astype(str).str.strip().str.strip("[](){}<>'\"")
     text = text.str.replace(r"^[A-Za-z]+\s*[=:]\s*", "", regex=True).str.replace(",", ".")
+    text = text.str.replace(_DURATION, _hours, regex=True)
     samples = text.iloc[:: max(1, len(text) // 50)]
     if samples.str.match(_CLOCK).mean() >= _MIN_CLOCK_SHARE:
         seconds, has_day = _clock_seconds(text), False
@@ -256,6 +267,11 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
         seconds[is_known] += _DAY_S * np.cumsum(day_changes)
     result: Floats = seconds - seconds[is_known][0]
     return result
+
+
+def _hours(match: re.Match[str]) -> str:
+    """Write the days and hours of a duration as hours."""
+    return str(24 * int(match.group(1)) + int(match.group(2)))
 
 
 def _clock_seconds(text: pandas.Series) -> Floats:

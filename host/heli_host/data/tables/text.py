@@ -18,7 +18,7 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.files import read_file
 from heli_host.data.tables.limits import MAX_BYTES, MAX_ROWS, check_columns, too_large
-from heli_host.data.tables.table import Column, RowChange, Table, seconds_of, unit_of
+from heli_host.data.tables.table import TIME_UNITS, Column, RowChange, Table, seconds_of, unit_of
 from heli_host.errors import FlightDataError, file_remedy
 
 if TYPE_CHECKING:
@@ -52,6 +52,25 @@ _THOUSANDS: Final = {
 """Numbers with separators of thousands, by decimal mark."""
 _COMMA_NUMBER: Final = r"^[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?$"
 _LABELLED: Final = r"^([^\d+\-.]*)([-+]?\d[\d,.']*(?:[eE][-+]?\d+)?)([^\d]*)$"
+_NAMED_VALUE: Final = re.compile(
+    r"(?P<name>[^\W\d][\w°./()\[\] -]*?)\s*[:=]\s*"
+    r"(?P<value>[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d+)?|nan)"
+    r"(?:\s?(?P<unit>[A-Za-z°%µ/]{1,8})(?=\s*(?:[,;|\t]|$)))?"
+)
+"""Value with its name before it, as in `pitch:1.25` or `Front = 3.1 V`."""
+_MIN_NAMED: Final = 3
+_MIN_NAMED_SHARE: Final = 0.5
+"""Fewest values with names in a line, and smallest share of the lines with the same names."""
+_MIN_SIGNAL_ROWS: Final = 10
+_MAX_SIGNALS: Final = 64
+"""Fewest values of a signal, and most signals, in a table with one value per row."""
+_RECEIVED: Final = re.compile(r"^\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)$")
+"""Line of a serial monitor, with the time at which it was received."""
+_STAMP: Final = re.compile(r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?|(?<=\[)\d+\.\d+(?=\])")
+"""Time in front of the values with names, as a clock or in brackets."""
+_CLOCK_COMMA: Final = re.compile(r"(?<=:\d{2}:\d{2}),(?=\d{3})")
+_STAMP_NAME: Final = "timestamp"
+_UNIT_BEHIND: Final = re.compile(r"(.*\d\.?)\s*([A-Za-z°%µ/]{1,8})$")
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
 
 
@@ -75,6 +94,8 @@ def read_text(path: Path) -> Table:
     body = [line for line in lines if line.strip() and not line.strip().startswith(_COMMENTS)]
     if not body:
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
+    body = _without_names_in_rows(body)
+    body, stamps = _without_reception_times(body)
     # At the beginning the rig is at rest, and whole numbers do not show the decimal mark. Therefore lines of
     # the whole file are examined.
     sampled_lines = body[:: max(1, len(body) // _LOOKED_AT)]
@@ -84,16 +105,26 @@ def read_text(path: Path) -> Table:
             f"{path}: the file has no columns of numbers",
             "give a table with one row per sample, separated by , ; or tabs",
         )
+    if stamps:
+        body = [line + dialect.separator + stamp for line, stamp in zip(body, stamps, strict=True)]
+        sampled_lines = body[:: max(1, len(body) // _LOOKED_AT)]
     start = _first_row(body[:_LOOKED_AT], dialect, sampled_lines)
-    header, rows = body[:start], body[start:]
+    # A capture may begin between two headers: rows above a header are rows, too.
+    is_early = [_is_row(line, dialect, sampled_lines) for line in body[:start]]
+    header = list(itertools.compress(body, [not early for early in is_early]))
+    rows = [*itertools.compress(body, is_early), *body[start:]]
     if not rows:
         raise FlightDataError(
             f"{path}: the file has no row of numbers",
             "give a table with one row per sample, separated by , ; or tabs",
         )
+    if dialect.separator == ",":
+        rows = _with_points_in_clocks(rows, len(_split_cells(header[-1], dialect)) if header else 0)
     rows, width, changes = _whole_rows(rows, header, dialect)
     check_columns(path, width)
-    names, units = _names_and_units(header, dialect, width)
+    names, units = _names_and_units(_with_row_name(path, header, rows, dialect, width), dialect, width)
+    if stamps:
+        names[-1] = _STAMP_NAME
     try:
         frame = pandas.read_csv(
             io.StringIO("\n".join(rows)),
@@ -112,7 +143,8 @@ def read_text(path: Path) -> Table:
         raise FlightDataError(f"{path}: not a table ({reason})", "check its quotes and separators") from error
     if len(frame) < len(rows):
         changes.append(RowChange("left out", len(rows) - len(frame), "with unbalanced quotes"))
-    columns = {}
+    columns: dict[str, Column] = {}
+    unread: dict[str, str] = {}
     for index, name in enumerate(names):
         values, unit = _numbers_of(frame[index], dialect)
         clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
@@ -120,11 +152,50 @@ def read_text(path: Path) -> Table:
             columns[name] = Column(clock_s, "s")
         elif np.isfinite(values).any():
             columns[name] = Column(values, units[index] or unit)
+        elif frame[index].notna().any():
+            unread[name] = str(frame[index].dropna().iloc[0]).strip()
     if not columns:
         raise FlightDataError(
             f"{path}: the file has no columns of numbers", "give a table with one row per sample"
         )
-    return Table(str(path), columns, notes, bool(header), tuple(changes))
+    labels = [frame[index] for index, name in enumerate(names) if name in unread]
+    if len(labels) == 1 and len(columns) == 2:
+        columns = _signals_by_name(labels[0], columns) or columns
+    return Table(str(path), columns, notes, bool(header), tuple(changes), unread)
+
+
+def _without_reception_times(lines: list[str]) -> tuple[list[str], list[str]]:
+    """Return the lines of a serial monitor without the times before them, and these times; empty if none."""
+    matches = [_RECEIVED.match(line) for line in lines]
+    if sum(match is not None for match in matches) < _LABEL_SHARE * len(lines):
+        return lines, []
+    rests = [match.group(2) if match else line for line, match in zip(lines, matches, strict=True)]
+    return rests, [match.group(1) if match else "" for match in matches]
+
+
+def _without_names_in_rows(lines: list[str]) -> list[str]:
+    """Turn lines that name each value, such as `pitch:1.2,travel:0.5`, into a header and rows with tabs.
+
+    A line with other names than most lines is damaged, and becomes a row with one cell.
+    """
+    matches = [list(_NAMED_VALUE.finditer(line)) for line in lines]
+    names_of_lines = [tuple(match["name"].strip() for match in line) for line in matches]
+    names = statistics.mode(names_of_lines)
+    if len(names) < _MIN_NAMED or names_of_lines.count(names) < _MIN_NAMED_SHARE * len(lines):
+        return lines
+    typical = matches[names_of_lines.index(names)]
+    units = [f" [{match['unit']}]" if match["unit"] else "" for match in typical]
+    prefixes = [line[: row[0].start()] if row else line for line, row in zip(lines, matches, strict=True)]
+    stamps = [_STAMP.search(prefix) for prefix in prefixes]
+    has_stamps = sum(stamp is not None for stamp in stamps) > _LABEL_SHARE * len(lines)
+    header = [name + unit for name, unit in zip(names, units, strict=True)]
+    rows = ["\t".join([*header, _STAMP_NAME] if has_stamps else header)]
+    for line, row, line_names, stamp in zip(lines, matches, names_of_lines, stamps, strict=True):
+        cells = [match["value"].replace(",", ".") for match in row]
+        if has_stamps:
+            cells.append(stamp.group().replace(",", ".") if stamp else "")
+        rows.append("\t".join(cells) if line_names == names else line.replace("\t", " "))
+    return rows
 
 
 def _whole_rows(
@@ -166,6 +237,18 @@ def _whole_rows(
     return [row for row, whole in zip(rows, is_whole.tolist(), strict=True) if whole], width, changes
 
 
+def _with_points_in_clocks(rows: list[str], width: int) -> list[str]:
+    """Write a point into times with a decimal comma, such as `14:05:09,250`, in a table with commas.
+
+    This comma makes one more cell than the header has names, so `width` is the number of names.
+    """
+    if statistics.mode(row.count(",") + 1 for row in rows) != width + 1:
+        return rows
+    pointed = [_CLOCK_COMMA.sub(".", row, count=1) for row in rows]
+    is_changed = sum(row != before for row, before in zip(pointed, rows, strict=True))
+    return pointed if is_changed > _LABEL_SHARE * len(rows) else rows
+
+
 def _cell_count(line: str, dialect: Dialect) -> int:
     """Count the cells of a line, with a blank one at its end."""
     if dialect.separator == " ":
@@ -175,6 +258,27 @@ def _cell_count(line: str, dialect: Dialect) -> int:
             next(csv.reader([line.strip(" \r\n")], delimiter=dialect.separator, skipinitialspace=True), [])
         )
     return line.count(dialect.separator) + 1
+
+
+def _signals_by_name(labels: pandas.Series, columns: dict[str, Column]) -> dict[str, Column]:
+    """Divide a table with one value per row into signals with separate times; empty if it is none.
+
+    Such a table has three columns: a time, the name of a signal, and its value.
+    """
+    falls = {name: float(np.mean(np.diff(column.values) < 0.0)) for name, column in columns.items()}
+    clock = columns[min(falls, key=lambda name: falls[name])]
+    (value,) = (column for column in columns.values() if column is not clock)
+    counts = labels.value_counts()
+    counts = counts[counts > _MIN_SIGNAL_ROWS]
+    if not _MIN_NAMED <= counts.size <= _MAX_SIGNALS:
+        return {}
+    t_s = clock.values * TIME_UNITS.get(clock.unit, 1.0)
+    signals = {}
+    for name in counts.index:
+        rows = (labels == name).to_numpy() & np.isfinite(t_s) & np.isfinite(value.values)
+        order = np.argsort(t_s[rows], kind="stable")
+        signals[str(name)] = Column(value.values[rows][order], "", t_s[rows][order])
+    return signals
 
 
 def _numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
@@ -318,6 +422,13 @@ def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> 
     return len(lines)
 
 
+def _is_row(line: str, dialect: Dialect, sampled_lines: list[str]) -> bool:
+    """Whether a line above a header is as wide as most lines, and contains only numbers."""
+    cells = _split_cells(line, dialect)
+    width = statistics.mode(len(_split_cells(each, dialect)) for each in sampled_lines)
+    return len(cells) == width and all(_is_number(cell, dialect) for cell in cells)
+
+
 def _is_number(cell: str, dialect: Dialect) -> bool:
     """Whether a cell is a number with the decimal mark of the dialect, or means "missing"."""
     text = cell.strip()
@@ -325,6 +436,10 @@ def _is_number(cell: str, dialect: Dialect) -> bool:
         if "." in text:
             return False
         text = text.replace(dialect.decimal, ".")
+    if not _NUMBER.match(text):
+        # A cell may contain its unit, as in `12.5 deg`.
+        bare = _UNIT_BEHIND.match(text)
+        text = bare.group(1) if bare and unit_of(bare.group(2)) else text
     return bool(_NUMBER.match(text)) or text.lower() in _EMPTY - {""}
 
 
@@ -340,7 +455,9 @@ def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[l
     if len(rows) > 1 and sum(bool(_unit_in_cell(cell)) for cell in rows[-1]) >= max(1, width // 2):
         units = [_unit_in_cell(cell) for cell in rows[-1]]
         rows = rows[:-1]
-    column_names = [cell.strip() for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
+    column_names = (
+        [cell.strip(' "') for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
+    )
     names: list[str] = []
     for index, name in enumerate(column_names):
         unique_name = name or f"column {index + 1}"
@@ -348,6 +465,28 @@ def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[l
             unique_name += "'"
         names.append(unique_name)
     return names, units
+
+
+def _with_row_name(path: Path, header: list[str], rows: list[str], dialect: Dialect, width: int) -> list[str]:
+    """Return the header with a name for a first column of row numbers, which R writes without one.
+
+    A header that names fewer columns than the rows have does not state which one lacks its name.
+    """
+    if not header:
+        return header
+    cells = _split_cells(header[-1], dialect)
+    is_header = len(cells) > 1 and not any(not cell.strip() or _is_number(cell, dialect) for cell in cells)
+    if not is_header or len(cells) not in (width - 1, width - 2):
+        return header
+    first = [_split_cells(row, dialect)[0].strip(' "') for row in rows[:_LOOKED_AT]]
+    numbers = [str(number) for number in range(1, 1 + len(first))]
+    if len(cells) == width - 1 and first == numbers:
+        return [*header[:-1], f"row{dialect.separator}{header[-1]}"]
+    raise FlightDataError(
+        f"{path}: the header names {len(cells)} columns ({', '.join(cells[:3])} ...), but the rows have "
+        f"{width} cells (first row: {rows[0][:60]})",
+        "give each column one name, and quote cells that contain the separator",
+    )
 
 
 def _unit_in_cell(cell: str) -> str:

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.tables import Column, Table
+from heli_host.data.tables.convert import with_direction
 from heli_host.data.tables.rows import timed_rows
 from heli_host.data.tables.table import TIME_UNITS, split_unit
 from heli_host.errors import FlightDataError
@@ -36,6 +37,7 @@ from heli_lab.setup.guess.names import (
     SUMS,
     VOLTAGE_ROLES,
     ColumnMeaning,
+    direction_columns,
     is_time,
     meanings_of,
 )
@@ -117,6 +119,20 @@ def prepare_file(
     return PreparedFile(table, clock, signals, encoders)
 
 
+def with_directions(table: Table) -> tuple[Table, dict[str, str]]:
+    """Give voltages the sign of their direction, if it has its own column; return these columns, too."""
+    columns = dict(table.columns)
+    used = {}
+    units = {name: column.unit for name, column in columns.items()}
+    for name, direction in direction_columns(units).items():
+        sizes = columns[name].values
+        signed = with_direction(sizes, columns[direction].values)
+        if not (sizes < 0.0).any() and not np.array_equal(signed, sizes, equal_nan=True):
+            columns[name] = replace(columns[name], values=signed)
+            used[name] = direction
+    return replace(table, columns=columns), used
+
+
 def _clock_of(table: Table, known: KnownEntries) -> Clock:
     """Return the time column that the user states, or the best one; an error gives the reason if none is."""
     clock = clock_of(table)
@@ -126,6 +142,13 @@ def _clock_of(table: Table, known: KnownEntries) -> Clock:
         unit = stated.get("unit") or (clock.unit if clock.column == column else "s")
         return Clock(str(column), str(unit), True)
     if not clock.column or not clock.unit:
+        unread = next((name for name in table.unread if is_time(name)), None)
+        if unread is not None:
+            cell = table.unread[unread]
+            raise FlightDataError(
+                f"{table.source}: the time '{unread}' contains neither numbers nor times (such as '{cell}')",
+                NO_RATE,
+            )
         raise FlightDataError(f"{table.source}: no column is the time ({clock.alternative})", NO_RATE)
     return clock
 

@@ -35,7 +35,7 @@ model errors are slow. Set by judgement: a higher value overstates every certain
 _LAGS_S: Final = (-0.24, 0.5, 0.02)
 """Lags between cause and acceleration that are compared: first, end, step [s]. Rotors lag by 0.05 to 0.2
 s."""
-REST_DURATION_S: Final = 0.1
+REST_DURATION_S: Final = 0.2
 """A flight begins on its table if it rests this long at its lowest elevation [s]. Measured flights are logged
 from full voltage on, and rise after 0.2 s."""
 FEEDBACK_MATCH: Final = 0.8

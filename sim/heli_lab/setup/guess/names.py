@@ -6,7 +6,7 @@ import itertools
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
@@ -18,6 +18,8 @@ VOLTAGE_ROLES: Final = (*PAIR, *SUMS)
 ROLES: Final = (*AXES, *VOLTAGE_ROLES)
 
 A_SUPPLY: Final = "a supply voltage"
+A_DIRECTION: Final = "a direction"
+A_COUNTER: Final = "a counter"
 _WORDS: Final = {
     "elevation": (
         *("elevation", "elev", "theta", "epsilon", "eps", "el", "e"),
@@ -52,7 +54,7 @@ Chinese. In German, vorne and hinten are abbreviated to v and h."""
 _OTHER_QUANTITIES: Final = {
     "a setpoint": (
         *("ref", "reference", "setpoint", "set", "sp", "des", "desired", "cmd", "command", "target", "goal"),
-        *("demand", "demanded", "commanded", "star", "opt", "c", "r"),
+        *("demand", "demanded", "commanded", "star", "opt", "c", "r", "joy", "joystick", "stick"),
         *("soll", "sollwert", "vorgabe", "fuhrung", "referenz", "referanse", "onsket", "settpunkt"),
         *("consigne", "cible", "consigna", "referencia", "deseado"),
     ),
@@ -79,6 +81,10 @@ _OTHER_QUANTITIES: Final = {
         *("supply", "battery", "batt", "bat", "vbat", "vbatt", "ubat", "vcc", "vdd", "vbus", "vin", "lipo"),
         *("akku", "batterie", "versorgung", "versorgungsspannung", "batteri", "batterispenning"),
         *("forsyning", "forsyningsspenning", "alimentation", "alimentacion", "bateria"),
+    ),
+    A_DIRECTION: (
+        *("dir", "direction", "sign", "polarity"),
+        *("richtung", "drehrichtung", "vorzeichen", "retning", "sens", "direccion"),
     ),
     "another sensor": ("imu", "ahrs", "mpu", "mems", "inertial", "camera", "mocap"),
     "another quantity": (
@@ -108,6 +114,8 @@ _COUNTERS: Final = frozenset(
 """Words of a counter of rows. Next to an angle they mean the counter of its encoder."""
 _LETTERS: Final = frozenset({"c", "i", "d", "f"})
 """Words of `_OTHER_QUANTITIES` that only count next to a role, as in ``e_c``."""
+_ROLLS: Final = frozenset({"roll", "rollen", "rollwinkel", "roulis", "rull", "alabeo"})
+"""Words of the pitch of the rig, if its axes are called as those of an aircraft."""
 _ANGLE_LETTERS: Final = frozenset({"d", "f"})
 """Letters that only count next to an angle: in ``V_f`` and ``V_d`` they name the voltage."""
 _COMMANDS: Final = frozenset({"set", "cmd", "command", "commanded", "target", "goal", "opt", "star", "c"})
@@ -146,6 +154,8 @@ _OTHER_UNITS: Final = {
     "rpm": "another quantity",
     "N": "another quantity",
     "Nm": "another quantity",
+    "us": "a time or a width of pulses",
+    "ms": "a time or a width of pulses",
 }
 """Quantities by units that neither an angle nor a voltage has."""
 _SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])")
@@ -185,7 +195,25 @@ def meanings_of(units: Mapping[str, str]) -> dict[str, ColumnMeaning]:
     if len(units) > 1 and len({_INDEX.sub("", name) for name in units}) == 1:
         return {name: ColumnMeaning(possible_roles=ROLES) for name in units}
     meanings = {name: meaning_of(name, unit) for name, unit in units.items()}
-    return _without_duties_of_voltages(meanings, units)
+    return _without_duties_of_voltages(_with_rolls(meanings), units)
+
+
+def _with_rolls(meanings: Mapping[str, ColumnMeaning]) -> dict[str, ColumnMeaning]:
+    """Return the meanings of a table whose axes may be called pitch, roll and yaw, as those of an aircraft.
+
+    The arm then pitches, and the body with the rotors rolls.
+    """
+    rolls = {name for name in meanings if _ROLLS.intersection(words_of(name))}
+    stated = {meaning.role for meaning in meanings.values()}
+    if not rolls or "elevation" in stated:
+        return dict(meanings)
+    renamed = {"pitch": "elevation"}
+    result = {}
+    for name, meaning in meanings.items():
+        role = "pitch" if name in rolls else renamed.get(meaning.role, meaning.role)
+        possible = (role,) if role and not meaning.quantity else meaning.possible_roles
+        result[name] = replace(meaning, role=role, possible_roles=possible)
+    return result
 
 
 def _without_duties_of_voltages(
@@ -298,7 +326,18 @@ def _stated_quantity(words: list[str], role: str) -> str:
     if names_no_role == {"i"}:
         # As in ``i1``: the current of a motor that is not named.
         return "a current"
-    return "a counter" if not role and _COUNTERS.intersection(words) else ""
+    return A_COUNTER if not role and _COUNTERS.intersection(words) else ""
+
+
+def direction_columns(units: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns with the directions of voltages, by the columns of the voltages."""
+    meanings = {name: meaning_of(name, unit) for name, unit in units.items()}
+    directions = {meaning.role: name for name, meaning in meanings.items() if meaning.quantity == A_DIRECTION}
+    return {
+        name: directions[meaning.role]
+        for name, meaning in meanings.items()
+        if meaning.role in VOLTAGE_ROLES and not meaning.quantity and meaning.role in directions
+    }
 
 
 def is_half(name: str) -> bool:

@@ -22,6 +22,7 @@ from heli_lab.setup.guess.columns import (
     column_options,
     prepare_file,
     ranked_assignments,
+    with_directions,
 )
 from heli_lab.setup.guess.motion import (
     Assignment,
@@ -194,10 +195,9 @@ def propose(
     each file.
     """
     reference = reference_of(rig)
-    files = [
-        prepare_file(known.with_units(table.aligned(_named_angles(table))), reference, rate_Hz, known)
-        for table in tables
-    ]
+    signed = [with_directions(known.with_units(table.aligned(_named_angles(table)))) for table in tables]
+    files = [prepare_file(table, reference, rate_Hz, known) for table, _ in signed]
+    directions = {name: direction for _, used in signed for name, direction in used.items()}
     source = files[0].table.source
     clock, ambiguities = _common_clock(files)
     # Which column is which: by names, and otherwise by how well each assignment explains the motion.
@@ -234,7 +234,7 @@ def propose(
     profile = known.applied(
         Profile(
             _angle_entries(assignment, scale, signs, reference, offset_deg),
-            _voltage_entries(assignment, scale, signs, reference),
+            _voltage_entries(assignment, scale, signs, reference, directions),
             "" if rate_Hz else clock.column,
             clock.unit,
             rate_Hz or 0.0,
@@ -358,9 +358,9 @@ class _FlightsInUnits:
         """Elevation at rest, of the first file that begins at rest at its lowest point; of the first file if
         no file does.
         """
-        deg_per_unit = math.degrees(signs.elevation * self.scale.rad(self.reference)["elevation"])
-        column = self.assignment.columns["elevation"]
-        rests = [rest_elevation(file.signals, column, deg_per_unit) for file in self.files]
+        rad = self.scale.rad(self.reference)
+        deg_per_unit = {axis: math.degrees(getattr(signs, axis) * rad[axis]) for axis in AXES}
+        rests = [rest_elevation(file.signals, self.assignment.columns, deg_per_unit) for file in self.files]
         return next((rest for rest in rests if rest.deg is not None and rest.begins_lowest), rests[0])
 
 
@@ -440,9 +440,16 @@ def _angle_entries(
 
 
 def _voltage_entries(
-    assignment: Assignment, scale: Scale, signs: SignChanges, reference: Reference
+    assignment: Assignment,
+    scale: Scale,
+    signs: SignChanges,
+    reference: Reference,
+    directions: Mapping[str, str],
 ) -> dict[str, Voltage]:
-    """Make the entries of the profile for the voltages: sum and difference, or front and back."""
+    """Make the entries of the profile for the voltages: sum and difference, or front and back.
+
+    `directions` names the column of the direction of a voltage that was logged without its sign.
+    """
     pair = [
         Voltage(
             column,
@@ -452,6 +459,7 @@ def _voltage_entries(
             polarity,
             factor=scale.factor,
             supply_column=reference.supply_column,
+            sign_column=directions.get(column, ""),
         )
         for column, polarity in zip(assignment.voltages, assignment.polarity, strict=True)
     ]

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.tables import Column, Table
+from heli_host.data.tables.rows import longest_rise
 from heli_host.data.tables.table import TIME_UNITS, split_unit
 from numpy.typing import NDArray
 
@@ -91,7 +92,7 @@ def clock_of(table: Table) -> Clock:
     fall and repeat: its rows are repaired later.
     """
     scored_clocks: list[tuple[float, Clock]] = []
-    reasons: list[tuple[float, str]] = []
+    reasons: list[str] = []
     for name, column in table.columns.items():
         values = column.values[np.isfinite(column.values)]
         if values.size < _MIN_TIMES:
@@ -101,20 +102,22 @@ def clock_of(table: Table) -> Clock:
         rising_share, falling_share = float(np.mean(steps > 0.0)), float(np.mean(steps < 0.0))
         step = _mean_step(values)
         if not (_is_clock(values, is_named) and step > 0.0):
-            reasons.append(
-                (
-                    2.0 * is_named + max(rising_share, falling_share),
+            if is_named and np.ptp(values) == 0.0:
+                reasons.append(f"'{name}' is {values[0]:g} in all rows")
+            elif is_named:
+                first = int(np.argmax(steps < 0.0)) + 2
+                reasons.append(
                     f"'{name}' rises in {100.0 * rising_share:.0f} % of its rows and falls in "
-                    f"{100.0 * falling_share:.0f} %",
+                    f"{100.0 * falling_share:.0f} %, first at row {first}"
                 )
-            )
             continue
         even_share = float(np.mean(np.abs(steps / step - 1.0) < _MAX_UNEVENNESS))
         clock = _interpret_as_times(name, column.unit, step)
         score = 2.0 * is_named + even_share + bool(clock.unit) + clock.sure
         scored_clocks.append((score, clock))
     if not scored_clocks:
-        return Clock("", "", False, max(reasons)[1] if reasons else "it has no columns of numbers")
+        reasons.append("no column has the name of a time, and none rises steadily")
+        return Clock("", "", False, reasons[0])
     return max(scored_clocks, key=lambda scored: scored[0])[1]
 
 
@@ -128,7 +131,11 @@ def _is_clock(values: Floats, is_named: bool) -> bool:
         return falling_share < _MAX_FALLING_SHARE or falling_share > _MIN_RISING_SHARE
     if min(falling_share, 1.0 - falling_share) > _MAX_UNNAMED_FALLING_SHARE or np.ptp(values) == 0.0:
         return False
-    return abs(float(np.corrcoef(np.arange(values.size), values)[0, 1])) > _LINEAR
+    rows = longest_rise(values if falling_share < 0.5 else -values)
+    # The times of a few rows may be damaged.
+    if rows.size < (1.0 - 2.0 * _MAX_UNNAMED_FALLING_SHARE) * values.size:
+        return False
+    return abs(float(np.corrcoef(rows, values[rows])[0, 1])) > _LINEAR
 
 
 def _mean_step(values: Floats) -> float:
@@ -155,17 +162,21 @@ def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
             name,
             stated_unit if possible_units else "",
             bool(possible_units),
-            f"steps of {step:g} {stated_unit} are implausible for a log",
+            f"'{name}' has steps of {step:g} {stated_unit}, but a log has {1.0 / longest_s:.0f} to "
+            f"{1.0 / shortest_s:.0f} rows per second",
         )
     if stated_unit in TIME_UNITS:
         return Clock(
             name, possible_units[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}"
         )
+    if not names.is_time(name) and names.meaning_of(name, header_unit).quantity == names.A_COUNTER:
+        return Clock(name, "", False, f"'{name}' counts the rows")
     may_count_rows = abs(step - 1.0) < 1e-6
     if may_count_rows and not (names.is_time(name) and possible_units):
         return Clock(name, possible_units[0] if possible_units else "ms", False, "it may count rows")
     if not possible_units:
-        return Clock(name, "", False, f"steps of {step:g} fit no unit of time")
+        rates = f"a log has {1.0 / longest_s:.0f} to {1.0 / shortest_s:.0f} rows per second"
+        return Clock(name, "", False, f"'{name}' has steps of {step:g}, but {rates}")
     # A log has steps of 0.2 to 150 ms. At most two units fit, and the larger one is meant.
     return Clock(name, possible_units[0], not may_count_rows, "it may count rows" if may_count_rows else "")
 

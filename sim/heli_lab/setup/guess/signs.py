@@ -297,10 +297,11 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     suspects = _sign_suspects(regressions)
     if suspects:
         suspects = _confirmed_by_simulation(suspects, flight, rig)
-    elevation_sign = 1.0 if regressions["elevation"].gain >= 0.0 else -1.0
-    wrong_zero = _zeroed_at_rest(
-        rest_elevation(signals, "elevation_rad", math.degrees(elevation_sign)), reference
-    )
+    deg_per_unit = dict.fromkeys(AXES, math.degrees(1.0))
+    if regressions["elevation"].gain < 0.0:
+        deg_per_unit["elevation"] *= -1.0
+    rest = rest_elevation(signals, assignment.columns, deg_per_unit)
+    wrong_zero = _zeroed_at_rest(rest, reference)
     return (*suspects, wrong_zero) if wrong_zero is not None else tuple(suspects)
 
 

@@ -419,15 +419,24 @@ class RestElevation:
     begins_lowest: bool  # Whether the flight begins at its lowest elevation
 
 
-def rest_elevation(signals: Signals, column: str, deg_per_unit: float) -> RestElevation:
-    """Find the elevation at which the arm rests at the beginning of a flight."""
-    elevation_deg = deg_per_unit * signals.raw[column]
+def rest_elevation(
+    signals: Signals, columns: Mapping[str, str], deg_per_unit: Mapping[str, float]
+) -> RestElevation:
+    """Find the elevation at which the arm rests at the beginning of a flight, from the columns of the axes.
+
+    At the turning point of a flight, elevation stands still for a moment, but the other axes do not.
+    """
+    elevation_deg = deg_per_unit["elevation"] * signals.raw[columns["elevation"]]
     # An unsigned counter that starts below 0 has an offset of one turn.
     elevation_deg = elevation_deg - 360.0 * np.round(np.median(elevation_deg) / 360.0)
     beginning_deg = elevation_deg[: round(REST_DURATION_S / SAMPLE_STEP_s)]
     median_deg = float(np.median(elevation_deg))
     start_deg = float(np.median(beginning_deg))
-    is_at_rest = float(np.ptp(beginning_deg)) < _STILL_deg and abs(median_deg - start_deg) > _MIN_RISE_deg
+    moved_deg = [
+        abs(deg_per_unit[axis]) * float(np.ptp(signals.raw[columns[axis]][: beginning_deg.size]))
+        for axis in ("elevation", "pitch", "travel")
+    ]
+    is_at_rest = max(moved_deg) < _STILL_deg and abs(median_deg - start_deg) > _MIN_RISE_deg
     return RestElevation(
         deg=start_deg if is_at_rest else None,
         median_deg=median_deg,
