@@ -262,7 +262,10 @@ def table() -> str:
         lines += [f"## {claim.number}. {claim.title[0].upper()}{claim.title[1:]}", "", claim.sentence, ""]
         for title, texts in (("Assumptions", claim.assumptions), ("Not proved", claim.open)):
             lines += [f"{title}:", "", *(f"- {text}" for text in texts), ""]
-        lines += [f"Wrong changes of the code for which the prover refutes the claim: {len(claim.mutants)}.", ""]
+        lines += [
+            f"Wrong changes of the code for which the prover refutes the claim: {len(claim.mutants)}.",
+            "",
+        ]
     return "\n".join(lines)
 
 
