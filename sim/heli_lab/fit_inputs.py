@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -91,6 +92,28 @@ ReportOption = Annotated[
     Path | None,
     typer.Option("--report", metavar="DIR", help="Write an HTML report with figures into this folder."),
 ]
+
+
+class VectorFormat(StrEnum):
+    """Formats of vector graphics."""
+
+    svg = "svg"
+    pdf = "pdf"
+
+
+VectorOption = Annotated[
+    VectorFormat | None,
+    typer.Option("--vector", help="Write each figure of the report in this format too, next to the PNG."),
+]
+
+
+def vector_of_report(vector: VectorFormat | None, report: Path | None) -> VectorFormat | None:
+    """Return the vector format of a report's figures; raise an error if there is no report."""
+    if vector is not None and report is None:
+        raise IdentifyError("--vector needs a report", "add --report DIR")
+    return vector
+
+
 SaveRigOption = Annotated[
     Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the estimated rig, TOML.")
 ]

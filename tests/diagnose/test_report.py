@@ -53,6 +53,17 @@ def test_a_second_process_draws_the_same_pictures(tmp_path: Path, monkeypatch: p
     assert [base64.b64decode(address.partition(",")[2]) for address in addresses] == expected
 
 
+@pytest.mark.parametrize(("vector_format", "head"), [("svg", b"<?xml"), ("pdf", b"%PDF")])
+def test_a_figure_is_also_written_in_the_vector_format(
+    tmp_path: Path, vector_format: str, head: bytes
+) -> None:
+    with Drawing(vector_format=vector_format) as drawn:
+        drawn.add(figure(1), tmp_path / "1.png")
+        drawn.finish()
+    assert (tmp_path / "1.png").read_bytes() == png_of(figure(1))
+    assert (tmp_path / f"1.{vector_format}").read_bytes().startswith(head)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="ended by a signal")
 def test_pictures_of_a_killed_process_are_drawn_in_this_process(tmp_path: Path) -> None:
     with Drawing(use_process=True) as drawing_process:

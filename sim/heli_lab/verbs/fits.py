@@ -63,6 +63,7 @@ def identify(
     skip_sign_check: option.SkipSignCheckOption = False,
     save_rig: option.SaveRigOption = None,
     report: option.ReportOption = None,
+    vector: option.VectorOption = None,
     json: JsonOption = None,
 ) -> None:
     """Estimate a rig's parameters from flights, with standard errors.
@@ -89,7 +90,7 @@ def identify(
     inputs = fit_inputs(flights, validation_paths, rig, model, effect_file or (), effect or ())
     say(*input_lines(inputs, rig))
     use_process = report is not None and default_thread_count() > 1
-    with WorkBar() as bar, Drawing(use_process) as drawing:
+    with WorkBar() as bar, Drawing(use_process, option.vector_of_report(vector, report)) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
         paths = [*flights, *validation_paths]
         flight_parts = list(read_parts(paths, inputs, spans, allow_gaps, skip_sign_check, bar.show))
@@ -151,6 +152,7 @@ def diagnose(
     loop_rate_Hz: option.LoopRateOption = None,
     skip_sign_check: option.SkipSignCheckOption = False,
     report: option.ReportOption = None,
+    vector: option.VectorOption = None,
     json: JsonOption = None,
     save_rig: option.SaveRigOption = None,
     with_term: Annotated[
@@ -230,7 +232,7 @@ def diagnose(
     rig_remark = ""
     rig_lines: list[str] = []
     use_process = report is not None and default_thread_count() > 1
-    with WorkBar() as bar, Drawing(use_process) as drawing:
+    with WorkBar() as bar, Drawing(use_process, option.vector_of_report(vector, report)) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
         paths = [*flights, *validation_paths]
         flight_parts = read_parts(paths, inputs, spans, allow_gaps, skip_sign_check, bar.show)

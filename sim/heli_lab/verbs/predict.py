@@ -140,7 +140,7 @@ def _table(
             )
     (low_V, high_V), rates_deg_s = forecasts.range_V, np.rad2deg(forecasts.range_rad_s)
     rates = ", ".join(
-        f"{axis} {low:z.0f} to {high:z.0f} deg/s" for axis, low, high in zip(AXES, *rates_deg_s, strict=True)
+        f"{axis} {low:z.3g} to {high:z.3g} deg/s" for axis, low, high in zip(AXES, *rates_deg_s, strict=True)
     )
     lines = [
         f"{forecasts.label}: {len(forecasts.start_s)} forecasts with rig {rig}; rms errors in deg",

@@ -456,7 +456,9 @@ def draw_forecasts(
         flight_ax.set_ylabel(f"{axis}, deg")
     # Below the plots, where it covers no curve.
     figure.legend(*all_axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=3, fontsize=8)
-    all_axes[0, 1].set_title(f"{forecasts.label}: measured, and forecasts from the present state", fontsize=9)
+    all_axes[0, 1].set_title(
+        f"{forecasts.label}: measured (grey), and forecasts from the present state (blue)", fontsize=9
+    )
     all_axes[-1, 0].set_xlabel("horizon, s")
     all_axes[-1, 1].set_xlabel("time, s")
     save_figure(figure, path, dpi=130)

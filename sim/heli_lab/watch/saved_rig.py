@@ -221,7 +221,7 @@ def forecast_lines(forecasts: Sequence[Forecasts]) -> tuple[str, ...]:
         f"Forecast error at {HORIZON_s:g} s, rms on {labels}, at front {low_V[0]:.1f} to {high_V[0]:.1f} V, "
         f"back {low_V[1]:.1f} to {high_V[1]:.1f} V:",
         *(
-            f"  {axis}: {errors.with_causes[axis]:.3g} deg, at {low:z.0f} to {high:z.0f} deg/s"
+            f"  {axis}: {errors.with_causes[axis]:.3g} deg, at {low:z.3g} to {high:z.3g} deg/s"
             for axis, low, high in zip(AXES, low_deg_s, high_deg_s, strict=True)
         ),
     )

@@ -674,8 +674,8 @@ def figure_of_failing_regions(all_regions: Sequence[FailingRegions], models: Seq
     for regions, panels in zip(all_regions, rows, strict=True):
         _regions_row(figure, panels, regions, models)
     figure.suptitle(
-        "outlined: cells in which the missing torque is not random"
-        f" (about {100 * FALSE_DISCOVERY_RATE:.0f} % of the outlines are chance)",
+        "outlined: cells in which the missing torque is too large for chance;"
+        f" about {100 * FALSE_DISCOVERY_RATE:.0f} % of the outlined cells are false",
         y=1.0 - 0.2 / height,
         fontsize=11,
     )

@@ -21,7 +21,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Final, Self
 
-from heli_host.data.files import check_replaceable, figure_metadata, write_bytes
+from heli_host.data.files import check_replaceable, figure_metadata, save_figure, write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,10 +55,11 @@ class Picture:
 
 class Drawing:
     """A queue of figures: a second process renders from the beginning of the queue, this process from its
-    end.
+    end. With the name of a `vector_format`, each figure is also written in that format.
     """
 
-    def __init__(self, use_process: bool = False) -> None:
+    def __init__(self, use_process: bool = False, vector_format: str | None = None) -> None:
+        self._vector_format = vector_format
         self._waiting: deque[Picture] = deque()
         # Notified when the queue changes.
         self._more = threading.Condition()
@@ -85,6 +86,8 @@ class Drawing:
     def add(self, figure: Figure, path: Path) -> Picture:
         """Queue a `figure` for the PNG file at `path`; the caller must not change it afterwards."""
         picture = Picture(self, figure, path)
+        if self._vector_format is not None:
+            save_figure(figure, path.with_suffix(f".{self._vector_format}"))
         with self._more:
             self._waiting.append(picture)
             self._more.notify()
