@@ -11,6 +11,7 @@ The rules are in words.toml, the exceptions with their reasons in exceptions.tom
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import tomllib
 from collections import Counter
@@ -20,6 +21,8 @@ from pathlib import Path
 from tests.repo.prose.rules import Finding, Rules, is_long, unexplained, words_in
 from tests.repo.prose.texts import is_document, sentences_of, sources, texts_of
 
+DISPLAYED = re.compile(r"\$\$.*?\$\$", re.DOTALL)
+FORMULA = re.compile(r"\$[^$]+\$")
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
 GLOSSARY = ROOT / "docs/reference/glossary.md"
@@ -64,13 +67,17 @@ def long_share(files: Sequence[Path], rules: Rules, root: Path = ROOT) -> tuple[
 
 
 def page_words(page: Path, root: Path = ROOT) -> tuple[int, int]:
-    """Count words in sentences, and in headings and tables; code in backticks is one, a fence none."""
+    """Count words in sentences, and in headings and tables.
+
+    Code in backticks and a formula in a sentence are one word; code blocks and displayed formulas are none.
+    """
     in_sentences = elsewhere = 0
     for text in texts_of(page, root):
+        words = words_in(FORMULA.sub("x", DISPLAYED.sub("", text.content)))
         if text.is_prose:
-            in_sentences += words_in(text.content)
+            in_sentences += words
         else:
-            elsewhere += words_in(text.content)
+            elsewhere += words
     return in_sentences, elsewhere
 
 
