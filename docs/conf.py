@@ -32,9 +32,13 @@ def repository_links() -> dict[str, Any]:
     address = re.sub(r"^git@([^:]+):", r"https://\1/", origin).removesuffix(".git")
     if not address.startswith("https://"):
         return {}
-    icon = {"name": "Repository", "url": address, "html": "Repository", "class": ""}
-    source = {"source_repository": address, "source_branch": "main", "source_directory": "docs/"}
-    return {**source, "footer_icons": [icon]}
+    links: dict[str, Any] = {
+        "footer_icons": [{"name": "Repository", "url": address, "html": "Repository", "class": ""}]
+    }
+    # The theme knows these hosts, and warns of others.
+    if re.match(r"https://(github|gitlab|bitbucket)\.", address):
+        links |= {"source_repository": address, "source_branch": "main", "source_directory": "docs/"}
+    return links
 
 
 has_api: bool = not tags.has("without_api")  # type: ignore[name-defined]  # noqa: F821 - Sphinx puts it here
