@@ -14,8 +14,14 @@ from heli_lab.explain.assessment import with_likelier_advance
 from heli_lab.explain.comparison import ModelComparison
 from heli_lab.fit.identification import identify
 from heli_lab.fit.records import Record, prepare
-from heli_lab.fit.voltage_timing import most_likely_advance, sampled_advance, slow_log_notes
+from heli_lab.fit.voltage_timing import (
+    most_likely_advance,
+    sampled_advance,
+    slow_log_notes,
+    with_acting_voltages,
+)
 from heli_lab.fit.windows import make_grid
+from heli_lab.watch.acting_voltages import acting_flights
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
@@ -129,3 +135,19 @@ def test_identify_corrects_for_a_known_rate_of_the_loop() -> None:
 
 def test_a_record_keeps_its_logged_voltages() -> None:
     assert np.array_equal(replace(record(0.0), advance_rows=0.45).voltages_V, record(0.0).voltages_V)
+
+
+@pytest.mark.diagnosis
+def test_twin_and_predict_find_when_the_voltages_of_a_slow_log_act() -> None:
+    """With the right rig, the advance is that of a sample, and the log's own rate has none."""
+    rig = RIG.replace(thrust_gain=0.62, friction_travel=0.05)
+    log = every(at_loop_rate(), THINNING)
+    (acting,), (note,) = acting_flights(MultibodyModel(), rig, [log], ["log"], None)
+    assert note.startswith("the log is slower than the control loop")
+    exact = with_acting_voltages(log, 0.45)
+    logged_V, acting_V, exact_V = (
+        np.diff(flight.front_V - log.front_V).std() for flight in (log, acting, exact)
+    )
+    assert logged_V == 0.0 and acting_V == pytest.approx(exact_V, rel=0.3)
+    (held,), notes = acting_flights(MultibodyModel(), rig, [log], ["log"], 1000.0 / THINNING)
+    assert notes == [] and np.array_equal(held.front_V, log.front_V)

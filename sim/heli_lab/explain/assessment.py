@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -31,9 +31,15 @@ from heli_lab.explain.stepwise import Search, held_out_screening
 from heli_lab.explain.thresholds import DISTURBED_STD, MATTERS_COUNTS, MATTERS_NATS_PER_ROW, MIN_MARGIN
 from heli_lab.explain.verdict import Verdict, describe_negligible_effects, judge
 from heli_lab.fit.flight_model import GAINS
-from heli_lab.fit.grey_box import Recording
 from heli_lab.fit.problem import Fit
-from heli_lab.fit.voltage_timing import FASTEST_ROWS_s, advance_rates, most_likely_advance, sampled_advance
+from heli_lab.fit.records import Record
+from heli_lab.fit.voltage_timing import (
+    AdvanceEstimate,
+    advance_rates,
+    may_be_slower,
+    most_likely_advance,
+    sampled_advance,
+)
 
 
 @dataclass(frozen=True)
@@ -249,34 +255,39 @@ def with_likelier_advance(
     None if they are not, if no log can be slower than the control loop, or if the model has a delay, which is
     a negative advance.
     """
-
-    def may_be_slower(record: Recording) -> bool:
-        """Whether the voltages of a log may be samples of those that acted."""
-        if loop_Hz is None:
-            return record.step_s > FASTEST_ROWS_s
-        return sampled_advance(record, loop_Hz) > 0.0
-
-    slow_records = [record for record in comparison.train if may_be_slower(record)]
-    if not slow_records or final.estimate.functions.model.source.delay:
+    is_slow = any(may_be_slower(record, loop_Hz) for record in comparison.train)
+    if not is_slow or final.estimate.functions.model.source.delay:
         return None
     screenings = [Screening(final.estimate)]
     if comparison.can_test_held_out:
         screenings.append(held_out_screening(comparison, final))
-    score = information = 0.0
+    best = estimated_advance(screenings, loop_Hz)
     for screening in screenings:
-        flights = screening.filtered.linearised_flights
-        signals = (
-            (advance_rates(flight) * may_be_slower(flight.reference.record), None) for flight in flights
-        )
-        (statistics,) = screening.information(signals, [1])
-        score, information = score + float(statistics.score[0]), information + statistics.information.item()
         screening.release()
-    present_rows = slow_records[0].advance_rows
-    candidates_rows = () if loop_Hz is None else (0.0, sampled_advance(slow_records[0], loop_Hz), 1.0)
-    best = most_likely_advance(present_rows, score, information, candidates_rows)
     if not best.is_significant:
         return None
-    return comparison.with_advance(lambda record: best.rows if may_be_slower(record) else 0.0)
+    return comparison.with_advance(lambda record: best.rows if may_be_slower(record, loop_Hz) else 0.0)
+
+
+def estimated_advance(screenings: Sequence[Screening], loop_Hz: float | None) -> AdvanceEstimate:
+    """Estimate when the voltages of logs act that may be slower than the control loop, given models of their
+    flights. The logs are of one logger, and one of them may be slower.
+    """
+    score = information = 0.0
+    slow_records: list[Record] = []
+    for screening in screenings:
+        signals = []
+        for flight in screening.filtered.linearised_flights:
+            record = flight.reference.record
+            assert isinstance(record, Record)
+            is_slow = may_be_slower(record, loop_Hz)
+            slow_records += [record] * is_slow
+            signals.append((advance_rates(flight) * is_slow, None))
+        (statistics,) = screening.information(signals, [1])
+        score, information = score + float(statistics.score[0]), information + statistics.information.item()
+    first = slow_records[0]
+    candidates_rows = () if loop_Hz is None else (0.0, sampled_advance(first, loop_Hz), 1.0)
+    return most_likely_advance(first.advance_rows, score, information, candidates_rows)
 
 
 def _log_likelihood(comparison: ModelComparison, hypothesis: Hypothesis) -> float:
@@ -343,6 +354,34 @@ def with_remainder(
         ),
     )
     return replace(search, final=refit, causes=(*search.causes, cause), screening=Screening(refit.estimate))
+
+
+_MAX_CURVES_TRIED: Final = 2
+"""Curves that are refitted in the place of what no effect explains. More: time, for the weaker ones."""
+
+
+def with_curves(
+    comparison: ModelComparison, search: Search, assessment: Assessment, kinds: Mapping[str, EffectSpec]
+) -> Hypothesis | None:
+    """Return the model with curves in the place of what no effect explains; None if no curve also makes the
+    held-out flights more likely.
+    """
+    if assessment.verdict.label != "unexplained" or not comparison.held_out:
+        return None
+    if assessment.verdict.unlisted:
+        return search.final
+    final, acceptance = search.final, Acceptance(comparison, kinds)
+    held_out = comparison.held_out_estimate(final)
+    for scored in search.screening.splines()[:_MAX_CURVES_TRIED]:
+        candidate = scored.candidate
+        if scored.log_likelihood_gain <= acceptance.penalty(candidate):
+            return None
+        refit = comparison.refit(
+            [*final.candidates, candidate], candidate.start_values(scored.coefficients), final
+        )
+        if comparison.held_out_estimate(refit, held_out).log_likelihood > held_out.log_likelihood:
+            return refit
+    return None
 
 
 def _on_all_flights(

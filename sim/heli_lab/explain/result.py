@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from heli_sim.model.base import Model
 from heli_sim.model.effect import AXES
 from heli_sim.model.effects import EffectSpec, effect_numbers
 from heli_sim.rig import Number, Rig
 
 from heli_lab.explain.assessment import Assessment
+from heli_lab.explain.comparison import Hypothesis
 from heli_lab.explain.contributions import SplineCurve, spline_curves_of
 from heli_lab.explain.experiment_design import ExperimentDesign
 from heli_lab.explain.prediction import ErrorReduction, Extrapolation, extrapolations
@@ -87,6 +89,24 @@ def _mean_zeros(fit: Fit) -> dict[str, Number]:
     return numbers
 
 
+def model_and_rig(hypothesis: Hypothesis) -> tuple[Model, Rig]:
+    """Return the equations of a `hypothesis` with the estimated sizes of its effects and curves, and the rig
+    with its estimated parameters. Constants of the flights are their means.
+    """
+    estimate = hypothesis.estimate
+    vector = estimate.parameter_vector
+    values: dict[str, list[float]] = {}
+    for parameter, value in zip(vector.free, estimate.theta, strict=True):
+        values.setdefault(parameter.quantity, []).append(float(value))
+    means = {name: float(np.mean(of_flights)) for name, of_flights in values.items()}
+    effects = tuple(
+        replace(effect, values={name: means.get(name, value) for name, value in effect.values.items()})
+        for effect in vector.model.effects
+    )
+    rig = vector.rig.replace(**{name: value for name, value in means.items() if name in vector.rig})
+    return type(vector.model)(effects), rig
+
+
 @dataclass(frozen=True)
 class Proposal:
     """A proposed equation and its evaluation."""
@@ -134,6 +154,8 @@ class Diagnosis:
         Equation of what no effect of the catalogue explains; None if there is none or none was confirmed.
     effort : Effort
         Refits and time.
+    curved : Hypothesis or None
+        The final model with curves in the place of what no effect explains; None without such curves.
     """
 
     search: Search
@@ -146,6 +168,7 @@ class Diagnosis:
     next_flight: ExperimentDesign | None
     proposal: Proposal | None
     effort: Effort
+    curved: Hypothesis | None = None
 
     @cached_property
     def verdict(self) -> Verdict:

@@ -23,6 +23,7 @@ from heli_lab.explain.assessment import (
     Assessment,
     assess,
     justified_thrust_noise,
+    with_curves,
     with_likelier_advance,
     with_listed_remainder,
 )
@@ -174,6 +175,7 @@ def diagnose(
             proposal = _propose_equation(
                 comparison, result, assessment, evaluation, tried, calibrate_s, refits, report
             )
+        curved = with_curves(comparison, result, assessment, available)
         next_flight = propose_experiment(comparison, result, assessment, available, undetectable)
         return Diagnosis(
             result,
@@ -186,6 +188,7 @@ def diagnose(
             next_flight,
             proposal,
             Effort(comparison.fits, time.perf_counter() - started_s),
+            curved,
         )
 
 

@@ -212,16 +212,23 @@ class Record:
         ndarray (n, 2)
             Their means: between two rows, the voltages change from those of the first to those of the second.
         """
-        if self.advance_rows == 0.0:
-            return values
-        next_values = np.concatenate((values[1:], values[-1:]))
-        next_values[list(self.gaps)] = values[list(self.gaps)]
-        return values + self.advance_rows * (next_values - values)
+        return averaged_over_rows(values, self.advance_rows, self.gaps)
 
     @property
     def used_s(self) -> float:
         """Seconds in free flight."""
         return sum(stop - start for start, stop in self.segments) * self.step_s
+
+
+def averaged_over_rows(values: Floats, advance_rows: float, gaps: Sequence[int]) -> Floats:
+    """Average values that change from each row to the next; see `Record.over_rows`. Shapes: `values` (n, 2);
+    returns (n, 2).
+    """
+    if advance_rows == 0.0:
+        return values
+    next_values = np.concatenate((values[1:], values[-1:]))
+    next_values[list(gaps)] = values[list(gaps)]
+    return values + advance_rows * (next_values - values)
 
 
 def prepare(

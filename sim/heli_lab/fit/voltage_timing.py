@@ -22,10 +22,11 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_host.data.flight import Flight
 
 from heli_lab.fit.grey_box import Recording
 from heli_lab.fit.linearised_flight import LinearisedFlight
-from heli_lab.fit.records import Record
+from heli_lab.fit.records import Record, averaged_over_rows
 
 FASTEST_ROWS_s: Final = 1.05e-3
 """Rows that are at most so far apart are those of the control loop, s: the board's loop has 1 kHz, and few
@@ -43,9 +44,20 @@ def sampled_advance(record: Recording, loop_Hz: float) -> float:
     return (periods - 1) / (2 * periods)
 
 
+def may_be_slower(record: Recording, loop_Hz: float | None) -> bool:
+    """Whether the voltages of a log may be samples of those that acted; `loop_Hz` is None if unknown."""
+    return record.step_s > FASTEST_ROWS_s if loop_Hz is None else sampled_advance(record, loop_Hz) > 0.0
+
+
 def sampled(records: Sequence[Record], loop_Hz: float) -> tuple[Record, ...]:
     """Return flights whose voltages are samples of a control loop of `loop_Hz`."""
     return tuple(replace(record, advance_rows=sampled_advance(record, loop_Hz)) for record in records)
+
+
+def with_acting_voltages(flight: Flight, advance_rows: float) -> Flight:
+    """Return a flight whose voltages are the means that acted from each row to the next."""
+    front_V, back_V = averaged_over_rows(flight.voltages_V, advance_rows, tuple(map(int, flight.gaps))).T
+    return replace(flight, front_V=front_V, back_V=back_V)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import itertools
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,9 +19,15 @@ from heli_lab import fit_inputs as option
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from heli_host.data.flight import Flight
+    from heli_sim.model.base import Model
+    from heli_sim.rig import Rig
+
     from heli_lab.explain import Diagnosis, InsufficientExcitation
     from heli_lab.fit.identification import Identification
-    from heli_lab.watch.saved_rig import JudgedFlight
+    from heli_lab.fit.records import Record
+    from heli_lab.watch.error_shares import ErrorShares
+    from heli_lab.watch.saved_rig import Forecaster, JudgedFlight, RigComparison, SavedRig
 
 
 def identify(
@@ -74,15 +81,20 @@ def identify(
 
     Example: `heli-host identify a.mcap --validate b.mcap --save-rig mine.toml --report mine`
     """
+    from heli_host.errors import HeliError
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_result_places
     from heli_sim.rig import write_rig
 
     from heli_lab.fit.identification import identify as run_identification
-    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
+    from heli_lab.fit.records import prepare_all
+    from heli_lab.fit.voltage_timing import sampled
+    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, model_of, parts, read_parts
     from heli_lab.report.identification_page import verdict, write_identification_report
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
+    from heli_lab.watch.acting_voltages import with_likely_advance
+    from heli_lab.watch.saved_rig import compare_rigs, comparison_json
 
     validation_paths = validate or []
     data_on_stdout(json)
@@ -93,33 +105,64 @@ def identify(
     with WorkBar() as bar, Drawing(use_process, option.vector_of_report(vector, report)) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
         paths = [*flights, *validation_paths]
-        flight_parts = list(read_parts(paths, inputs, spans, allow_gaps, skip_sign_check, bar.show))
-        identification = run_identification(
-            inputs.model,
-            inputs.rig,
-            flight_parts[: len(flights)],
-            validation=flight_parts[len(flights) :],
-            free=free or None,
-            fixed=fix or (),
-            labels=inputs.labels[: len(flights)],
-            validation_labels=inputs.labels[len(flights) :],
-            window_s=window_s,
-            loop_Hz=loop_rate_Hz,
-            on_progress=lambda progress: bar.show(progress.stage, progress.done),
-            accept_unexplained=skip_sign_check,
-        )
+        flight_parts = read_parts(paths, inputs, spans, allow_gaps, skip_sign_check, bar.show)
+        records = prepare_all(list(flight_parts), inputs.rig, inputs.labels)
+        if loop_rate_Hz is not None:
+            records = sampled(records, loop_rate_Hz)
+
+        def equations(rig: Rig) -> Model:
+            return model_of(rig, inputs.model.name, effect_file or ())
+
+        def identified(records: Sequence[Record]) -> Identification:
+            return run_identification(
+                inputs.model,
+                inputs.rig,
+                records[: len(flights)],
+                validation=records[len(flights) :],
+                free=free or None,
+                fixed=fix or (),
+                window_s=window_s,
+                on_progress=lambda progress: bar.show(progress.stage, progress.done),
+                accept_unexplained=skip_sign_check,
+            )
+
+        identification = identified(records)
+        if loop_rate_Hz is None:
+            # The identified rig shows whether the voltages of a slow log are samples of those that acted.
+            estimated_rig = identification.rig("estimated")
+            timed_records = with_likely_advance(equations(estimated_rig), estimated_rig, records, None)
+            if any(record.advance_rows for record in timed_records):
+                records, identification = timed_records, identified(timed_records)
         page: Path | None = None
+        comparison: RigComparison | None = None
+        rig_lines: list[str] = []
         if save_rig is not None:
+            bar.show("forecasts", 0.88)
             identified_rig = identification.rig(save_rig.stem)
-            write_rig(identified_rig, save_rig, f"Found by heli-host identify. {verdict(identification)}")
+            judged = _judged_flights(paths, inputs.labels, spans, allow_gaps, records)
+            try:
+                comparison = compare_rigs(
+                    (model_of(inputs.rig, model, effect_file or ()), inputs.rig),
+                    (equations(identified_rig), identified_rig),
+                    judged[len(flights) :] or judged,
+                    identification.fit.problem.records,
+                )
+                rig_lines = list(comparison.lines)
+            except HeliError as error:
+                rig_lines = [f"Forecasts were not measured: {error}"]
+            comment = f"Found by heli-host identify. {verdict(identification)}"
+            write_rig(identified_rig, save_rig, "\n".join([comment, *rig_lines]))
         if report is not None:
             bar.show("drawing", 0.9)
             page = write_identification_report(identification, report, drawing)
         numbers = identification.json()
+        numbers["saved_rig"] = None if comparison is None else comparison_json(comparison)
         write_result(json, numbers)
     say(*identification.slow_log_notes, flights_line(numbers["flights"]))
     _print_estimates(identification)
     say(verdict(identification))
+    if rig_lines:
+        say(f"{save_rig}: {rig_lines[0]}", *rig_lines[1:])
     say_files((save_rig, page, json))
     if not identification.converged:
         raise typer.Exit(1)
@@ -216,7 +259,7 @@ def diagnose(
     from heli_lab.report.diagnosis.text import summary, unconfirmed_in_rig
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
-    from heli_lab.watch.saved_rig import saved_rig
+    from heli_lab.watch.saved_rig import Forecaster, saved_json, saved_rig
 
     # Exclude loaded libraries from garbage collection, which otherwise takes 8 % of a diagnosis.
     gc.freeze()
@@ -231,6 +274,8 @@ def diagnose(
     output_files: list[Path | None] = []
     rig_remark = ""
     rig_lines: list[str] = []
+    shares: ErrorShares | None = None
+    saved: SavedRig | None = None
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process, option.vector_of_report(vector, report)) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
@@ -257,40 +302,46 @@ def diagnose(
             if report is not None:
                 output_files.append(write_insufficient_excitation(result, report))
         else:
+            bar.show("forecasts", 0.93)
+            after = result.assessment.after
+            held_out_records = after.held_out_fit.problem.records if after.held_out_fit else ()
+            records = (*after.fit.problem.records, *held_out_records)
+            judged = _judged_flights(paths, inputs.labels, spans, allow_gaps, records)
+            forecast = Forecaster(
+                judged[len(flights) :] if result.has_other_flight else judged[: len(flights)],
+                lambda rig: model_of(rig, inputs.model.name, effect_file or ()),
+                inputs.rig,
+            )
+            shares = _error_shares(result, forecast, judged[: len(flights)])
             if save_rig is not None:
-                bar.show("forecasts with the extended rig", 0.93)
+                bar.show("forecasts with the extended rig", 0.94)
                 source = f"heli-host diagnose, model {inputs.model.name}"
-                rig_remark = unconfirmed_in_rig(result, with_term, with_unconfirmed)
+                saved = saved_rig(
+                    result,
+                    save_rig.stem,
+                    forecast,
+                    with_unconfirmed=with_unconfirmed,
+                    with_term=with_term,
+                )
+                rig_remark = unconfirmed_in_rig(result, saved.has_term, with_unconfirmed)
                 comment = f"Found by {source}. {summary(result)} {rig_remark}".strip()
-                if with_term and result.proposal is not None:
-                    extended_rig = result.rig(save_rig.stem, with_term, with_unconfirmed)
-                else:
-                    judged = _judged_flights(result, paths, len(flights), inputs.labels, spans, allow_gaps)
-                    saved = saved_rig(
-                        result,
-                        save_rig.stem,
-                        judged,
-                        lambda rig: model_of(rig, inputs.model.name, effect_file or ()),
-                        with_unconfirmed=with_unconfirmed,
-                    )
-                    extended_rig = saved.rig
-                    rig_lines = [*(cause.sentence for cause in saved.left_out), *saved.lines]
-                    comment = "\n".join([comment, *rig_lines])
-                write_rig(extended_rig, save_rig, comment)
+                rig_lines = [*(cause.sentence for cause in saved.left_out), *saved.lines]
+                write_rig(saved.rig, save_rig, "\n".join([comment, *rig_lines]))
                 output_files.append(save_rig)
             if report is not None:
                 bar.show("drawing", 0.95)
-                output_files.append(write_report(result, report, drawing))
+                output_files.append(write_report(result, report, drawing, shares))
             # A rig with a proposed equation term needs the effect file of that term.
             effect_folder = report or (save_rig.parent if save_rig is not None and with_term else None)
             if result.proposed_term is not None and effect_folder is not None:
                 output_files.append(write_effect_file(result, effect_folder))
-        numbers = to_json(result)
+        numbers = to_json(result, shares)
+        numbers["saved_rig"] = None if saved is None else saved_json(saved)
         write_result(json, numbers)
         output_files.append(json)
     if numbers["flights"]:
         say(flights_line(numbers["flights"]))
-    _print_diagnosis(result)
+    _print_diagnosis(result, shares)
     if rig_remark:
         say(f"{save_rig}: {rig_remark}")
     if rig_lines:
@@ -299,34 +350,52 @@ def diagnose(
 
 
 def _judged_flights(
-    result: Diagnosis,
     paths: Sequence[Path],
-    fitted_count: int,
     labels: Sequence[str],
     spans: Sequence[tuple[float | None, float | None]],
     allow_gaps: bool,
+    records: Sequence[Record],
 ) -> list[JudgedFlight]:
-    """Read the flights whose forecasts decide which causes a saved rig has: the held-out flights, or the
-    fitted ones if none is held out.
-    """
+    """Read the flights for forecasts, with the voltages that acted according to the records of the fit."""
     from heli_host.data.log.reader import read_flight
 
+    from heli_lab.fit.voltage_timing import with_acting_voltages
     from heli_lab.watch.saved_rig import JudgedFlight
 
-    first = fitted_count if result.has_other_flight else 0
-    last = None if result.has_other_flight else fitted_count
-    judged = list(zip(paths, labels, spans, strict=True))[first:last]
+    advance_rows = {record.label: record.advance_rows for record in records}
+
+    def flight(path: Path, label: str) -> Flight:
+        flown = replace(read_flight(path, allow_gaps=allow_gaps), extra={})
+        return with_acting_voltages(flown, advance_rows.get(label, 0.0))
+
     return [
-        JudgedFlight(label, read_flight(path, allow_gaps=allow_gaps), span) for path, label, span in judged
+        JudgedFlight(label, flight(path, label), span)
+        for path, label, span in zip(paths, labels, spans, strict=True)
     ]
 
 
-def _print_diagnosis(result: Diagnosis | InsufficientExcitation) -> None:
+def _error_shares(
+    result: Diagnosis, forecast: Forecaster, fitted: Sequence[JudgedFlight]
+) -> ErrorShares | None:
+    """Return the parts of the forecast error; None if nothing is missing, or if no flight is long enough."""
+    from heli_host.errors import HeliError
+
+    from heli_lab.watch.error_shares import error_shares
+
+    if result.label == "explained":
+        return None
+    try:
+        return error_shares(result, forecast, fitted)
+    except HeliError:
+        return None
+
+
+def _print_diagnosis(result: Diagnosis | InsufficientExcitation, shares: ErrorShares | None) -> None:
     """Print the verdict, the causes and the error reduction."""
     from heli_lab.report.diagnosis.text import lines, slow_log_cautions, summary
 
     say(*slow_log_cautions(result))
-    say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result)))
+    say(f"{result.label}: {summary(result)}", *(f"  {line}" for line in lines(result, shares)))
 
 
 VERBS = {verb.__name__: Verb(verb, "Laboratory", variadic=True) for verb in (diagnose, identify)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -50,6 +51,7 @@ def predict(
         float | None, typer.Option("--to", "--to-s", metavar="S", help="Ignore rows from this time in s on.")
     ] = None,
     allow_gaps: option.GapsOption = False,
+    loop_rate_Hz: option.LoopRateOption = None,
     json: JsonOption = None,
     figure: FigureOption = None,
 ) -> None:
@@ -69,6 +71,7 @@ def predict(
     from heli_sim.model import model_named
     from heli_sim.rig import load_rig
 
+    from heli_lab.watch.acting_voltages import acting_flights
     from heli_lab.watch.forecast import draw_forecasts, errors_json, forecasts_of, horizon_errors
     from heli_lab.watch.learn import learn_disturbances
 
@@ -87,8 +90,10 @@ def predict(
     has_baseline = baseline is not None or bool(model.effects)
     with WorkBar() as bar:
         bar.show("reading", 0.0)
-        flown = read_flight(flight, allow_gaps=allow_gaps)
         label = flight.name
+        flown = replace(read_flight(flight, allow_gaps=allow_gaps), extra={})
+        bar.show("voltages between the rows", 0.05)
+        (flown,), slow_log_notes = acting_flights(model, loaded_rig, [flown], [label], loop_rate_Hz)
 
         def forecast(name: str, share: float) -> Forecasts:
             """Forecast with the rig or with the baseline."""
@@ -102,8 +107,9 @@ def predict(
         baseline_forecasts = forecast("baseline", 0.5) if has_baseline else None
         rows = horizon_errors(forecasts, baseline_forecasts)
     baseline_name = baseline or (f"{rig} without its effects" if has_baseline else None)
-    say(*_table(forecasts, rows, rig, baseline_name))
-    write_result(json, errors_json(forecasts, rows, rig, baseline_name))
+    say(*slow_log_notes, *_table(forecasts, rows, rig, baseline_name))
+    numbers = errors_json(forecasts, rows, rig, baseline_name)
+    write_result(json, {**numbers, "slow_log": slow_log_notes[0] if slow_log_notes else None})
     if figure is not None:
         draw_forecasts(forecasts, rows, baseline_name or "", figure)
     say_files((json, figure))

@@ -15,6 +15,8 @@ from heli_host.ui.cli.options import DEFAULT_RIG, FigureOption, JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.verb import Verb
 
+from heli_lab import fit_inputs as option
+
 if TYPE_CHECKING:
     from heli_host.ui.cli.live import WorkBar
 
@@ -69,6 +71,7 @@ def twin(
     stop_s: Annotated[
         float | None, typer.Option("--to", "--to-s", metavar="S", help="Ignore rows from this time in s on.")
     ] = None,
+    loop_rate_Hz: option.LoopRateOption = None,
     json: JsonOption = None,
     figure: FigureOption = None,
 ) -> None:
@@ -99,10 +102,13 @@ def twin(
     nominal_paths = nominal or []
     reports: list[TwinReport] = []
     with WorkBar() as bar:
-        twin_rig = _calibrated(twin_rig, nominal_paths, learn, bar)
+        twin_rig, slow_log_notes = _calibrated(twin_rig, nominal_paths, learn, loop_rate_Hz, bar)
         for path in flights or ():
             bar.show(f"following {path.name}", 0.9)
-            reports.append(monitor_file(twin_rig, path, false_alarm_interval_h, start_s, stop_s))
+            reports.append(
+                monitor_file(twin_rig, path, false_alarm_interval_h, start_s, stop_s, loop_rate_Hz)
+            )
+    say(*dict.fromkeys(filter(None, (*slow_log_notes, *(report.slow_log for report in reports)))))
     if reports:
         say(*_fit_lines(twin_rig, reports, false_alarm_interval_h))
     for report in reports:
@@ -122,29 +128,38 @@ def twin(
 
 
 def _calibrated(
-    twin_rig: TwinRig, nominal_paths: Sequence[Path], twin_file: Path | None, bar: WorkBar
-) -> TwinRig:
-    """Return the rig with a calibration on nominal flights; without these flights, its calibration stays.
+    twin_rig: TwinRig,
+    nominal_paths: Sequence[Path],
+    twin_file: Path | None,
+    loop_rate_Hz: float | None,
+    bar: WorkBar,
+) -> tuple[TwinRig, list[str]]:
+    """Return the rig with a calibration on nominal flights, and what their logs lack. Without these flights,
+    its calibration stays.
 
     With a `twin_file`, the alarm threshold is calibrated too, which takes minutes, and the file is written.
     """
     from heli_host.data.log.reader import read_flight
 
+    from heli_lab.watch.acting_voltages import acting_flights
     from heli_lab.watch.calibration import write_calibration
     from heli_lab.watch.learn import learn, learn_rig
 
     bar.show("reading", 0.0)
     nominal_flights = [read_flight(path, allow_gaps=True) for path in nominal_paths]
     labels = [path.name for path in nominal_paths]
+    nominal_flights, notes = acting_flights(
+        twin_rig.model, twin_rig.rig, nominal_flights, labels, loop_rate_Hz
+    )
     if twin_file is not None:
         calibration = learn(twin_rig.model, twin_rig.rig, nominal_flights, labels, say=bar.show)
         write_calibration(twin_file, calibration, twin_rig.name)
-        return replace(twin_rig, calibration=calibration)
+        return replace(twin_rig, calibration=calibration), notes
     if nominal_flights:
         disturbances, uncertainty = learn_rig(twin_rig.model, twin_rig.rig, nominal_flights, labels)
         calibration = replace(twin_rig.calibration, disturbances=disturbances, uncertainty=uncertainty)
-        return replace(twin_rig, calibration=calibration)
-    return twin_rig
+        return replace(twin_rig, calibration=calibration), notes
+    return twin_rig, notes
 
 
 def _fit_lines(twin_rig: TwinRig, reports: Sequence[TwinReport], false_alarm_interval_h: float) -> list[str]:
@@ -211,6 +226,7 @@ def _json_object(
             {
                 "flight": report.label,
                 "fit": report.fit,
+                "slow_log": report.slow_log or None,
                 "free_s": report.free_s,
                 "unjudged_s": report.unjudged_s,
                 "max_evidence_nats": report.max_evidence_nats,

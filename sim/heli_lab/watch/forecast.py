@@ -30,10 +30,13 @@ from heli_lab.fit.linearised_flight import BLOCK_s
 from heli_lab.watch.kalman_filter import KalmanFilter
 from heli_lab.watch.likelihood_ratio import ONSETS
 from heli_lab.watch.steps import FreeFlight, InputHistory, Samples, Step, Stepper, count_rad_of, samples_of
-from heli_lab.watch.twin_model import EXACT, TwinModel, start_state
+from heli_lab.watch.twin_model import EXACT, ZEROS, TwinModel, start_state
 
 HORIZONS_s: Final = (0.2, 0.5, 1.0, 2.0, 5.0)
 """Horizons of the forecasts [s]."""
+MAIN_HORIZON_s: Final = 1.0
+"""Horizon of the forecasts by which models are compared [s]: long enough to show a lag, too short for slow
+terms to dominate."""
 _PATH_EVERY_s: Final = 0.1
 """Time between the points of a forecast that are kept [s]; all horizons are multiples of it."""
 START_EVERY_s: Final = 0.2
@@ -46,6 +49,9 @@ _RESAMPLED_s: Final = 5.0
 over the same seconds share their errors."""
 _TAIL: Final = 0.01
 """Share of voltages and rates beyond each end of the range that is stated."""
+_EXPECTED_STARTS: Final = 40
+"""Number of forecasts over which the expected error is averaged. More: minutes for long flights. Fewer: an
+unusual moment decides."""
 _AXIS_COUNT: Final = 3
 
 
@@ -61,11 +67,20 @@ class Forecasts:
     path_rad: Floats  # (k, p, 3): Angles that the model predicts at these times [rad]
     range_V: Floats  # (2, 2): Lowest and highest voltage of both rotors during the forecasts [V]
     range_rad_s: Floats  # (2, 3): Lowest and highest rate of each axis [rad/s]
+    start_V: Floats  # (k, 2): Mean voltage of both rotors over `START_EVERY_s` before each start [V]
+    start_rad_s: Floats  # (k, 3): Estimated rates at each start [rad/s]
+    expected_rad2: Floats
+    """(3,): Mean square error at `MAIN_HORIZON_s` that the disturbances, the uncertain state and the rounding
+    to counts cause if the model is right [rad2]."""
+
+    def errors_rad(self, horizon: int) -> Floats:
+        """Return the errors at a horizon, predicted less measured, (k, 3) [rad]."""
+        point = round(HORIZONS_s[horizon] / _PATH_EVERY_s)
+        return np.asarray(self.path_rad[:, point] - self.measured_rad[:, horizon])
 
     def squares_rad2(self, horizon: int) -> Floats:
         """Return the squared errors at a horizon, (k, 3) [rad2]."""
-        point = round(HORIZONS_s[horizon] / _PATH_EVERY_s)
-        return np.asarray((self.path_rad[:, point] - self.measured_rad[:, horizon]) ** 2)
+        return np.asarray(self.errors_rad(horizon) ** 2)
 
     def persistence_rad2(self, horizon: int) -> Floats:
         """Return the squared errors of the forecast that nothing changes, (k, 3) [rad2]."""
@@ -80,6 +95,8 @@ class _Start(NamedTuple):
     steady_torque_Nm: Floats  # (3,): Drift and constant torque
     gust_Nm: Floats  # (3,): Fast disturbance
     zero_rad: Floats  # (2,): Errors of the encoder zeros
+    covariance: Floats
+    """(order, order): Covariance of state, gust, drift, constant torque about each axis, and zeros."""
 
 
 class _FilteredFlight(NamedTuple):
@@ -110,9 +127,8 @@ def forecasts_of(
     samples, sample_s = samples_of(flight)
     zero_s = float(samples.number[0]) * sample_s - float(flight.t_s[0])
     twin = TwinModel(model, rig, EXACT, changes=())
-    filtered = _filter_flight(
-        twin, disturbances, count_rad_of(flight, rig), samples, sample_s, zero_s, span_s
-    )
+    count_rad = count_rad_of(flight, rig)
+    filtered = _filter_flight(twin, disturbances, count_rad, samples, sample_s, zero_s, span_s)
     if not filtered.starts:
         raise TwinError(
             f"{label} has less than {_SETTLE_s + HORIZONS_s[0]:g} s of uninterrupted free flight to forecast",
@@ -130,7 +146,8 @@ def forecasts_of(
         )
         measured_rad[is_free, horizon] = filtered.measured_rad[rows[is_free]]
     used = filtered.segment >= 0
-    rates_rad_s = np.array([start.state[_AXIS_COUNT : 2 * _AXIS_COUNT] for start in filtered.starts])
+    start_rad_s = np.array([start.state[_AXIS_COUNT : 2 * _AXIS_COUNT] for start in filtered.starts])
+    recent_steps = round(START_EVERY_s / filtered.step_s)
     ends = [_TAIL, 1.0 - _TAIL]
     return Forecasts(
         label,
@@ -140,7 +157,10 @@ def forecasts_of(
         path_s,
         path_rad,
         range_V=np.quantile(filtered.acting_V[used], ends, axis=0),
-        range_rad_s=np.quantile(rates_rad_s, ends, axis=0),
+        range_rad_s=np.quantile(start_rad_s, ends, axis=0),
+        start_V=np.array([filtered.acting_V[max(row - recent_steps, 0) : row].mean(axis=0) for row in first]),
+        start_rad_s=start_rad_s,
+        expected_rad2=_expected_rad2(twin, disturbances, filtered, count_rad),
     )
 
 
@@ -233,6 +253,7 @@ class _Runner:
                         kalman.steady_torque_Nm,
                         gust_Nm,
                         kalman.zero_rad.copy(),
+                        kalman.covariance,
                     )
                 )
         kalman.predict(inputs.motor_time_s, inputs.acting_V)
@@ -261,6 +282,66 @@ class _Runner:
             )
 
 
+class _Ensemble:
+    """Forecasts that are simulated together, step by step."""
+
+    def __init__(
+        self,
+        twin: TwinModel,
+        disturbances: DisturbanceModel,
+        filtered: _FilteredFlight,
+        starts: Sequence[_Start],
+    ) -> None:
+        self._twin, self._filtered = twin, filtered
+        self._next_rows = np.array([start.step for start in starts])
+        self._states: Floats = np.array([start.state for start in starts])
+        self._steady_Nm: Floats = np.array([start.steady_torque_Nm for start in starts])
+        self._gust_Nm: Floats = np.array([start.gust_Nm for start in starts])
+        zero_rad = np.array([start.zero_rad for start in starts])
+        self._shown_zero_rad = np.hstack((zero_rad, np.zeros((len(starts), 1))))
+        self._decay = disturbances.autocorrelation(filtered.step_s)[:_AXIS_COUNT]
+
+    def _trajectory(self, time_s: float) -> Trajectory:
+        """Return the present states at a time within the present step [s]."""
+        filtered = self._filtered
+        # Forecasts beyond the end of the flight continue with its last voltages, and are not compared.
+        at = np.minimum(self._next_rows, len(filtered.segment) - 1)
+        return Trajectory(
+            filtered.motor_time_s[at] + time_s,
+            self._states,
+            filtered.acting_V[at],
+            filtered.step_s,
+            self._twin.parameters,
+        )
+
+    def measured(self) -> tuple[Floats, Floats]:
+        """Return the angles that the encoders would show [rad], (k, 3), and their derivatives by the states,
+        (k, 3, states).
+        """
+        angles, by_state, *_ = self._twin.measure(self._trajectory(0.0))
+        return angles[:, :, 0] + self._shown_zero_rad, by_state
+
+    def step(self) -> tuple[Floats, Floats]:
+        """Simulate a step; return its derivatives by the states, (k, states, states), and by a constant
+        torque about each axis, (k, states, 3).
+        """
+        h = self._filtered.step_s
+        rates, jacobian, by_torque, *_ = self._twin.functions_without_derivatives.along(
+            self._trajectory(0.5 * h)
+        )
+        phi, gamma = _kalman.midpoint(jacobian, h)
+        torque_Nm = self._steady_Nm + self._gust_Nm
+        # k numbers the forecasts, i and j the rows and columns of their matrices.
+        driven_rates = rates[:, :, 0] + np.einsum("kij,kj->ki", by_torque, torque_Nm)
+        self._states = self._states + np.einsum("kij,kj->ki", gamma, driven_rates)
+        if self._twin.resets is not None:
+            (reset,) = self._twin.resets(self._trajectory(h))
+            self._states = reset[:, :, 0]
+        self._gust_Nm = self._gust_Nm * self._decay
+        self._next_rows = self._next_rows + 1
+        return phi, gamma @ by_torque
+
+
 def _simulate(
     twin: TwinModel, disturbances: DisturbanceModel, filtered: _FilteredFlight, path_s: Floats
 ) -> Floats:
@@ -268,36 +349,47 @@ def _simulate(
     since the start, (k, p, 3).
     """
     steps_at = [round(time_s / filtered.step_s) for time_s in path_s]
-    starts, h, n = filtered.starts, filtered.step_s, len(filtered.segment)
-    rows = np.array([start.step for start in starts])
-    states = np.array([start.state for start in starts])
-    steady_Nm = np.array([start.steady_torque_Nm for start in starts])
-    gust_Nm = np.array([start.gust_Nm for start in starts])
-    shown_zero_rad = np.hstack((np.array([start.zero_rad for start in starts]), np.zeros((len(starts), 1))))
-    decay = disturbances.autocorrelation(h)[:_AXIS_COUNT]
-    result = np.empty((len(starts), len(steps_at), _AXIS_COUNT))
+    ensemble = _Ensemble(twin, disturbances, filtered, filtered.starts)
+    result = np.empty((len(filtered.starts), len(steps_at), _AXIS_COUNT))
     for number in range(max(steps_at) + 1):
-        # Forecasts beyond the end of the flight continue with its last voltages, and are not compared.
-        at = np.minimum(rows + number, n - 1)
         if number in steps_at:
-            begin = Trajectory(filtered.motor_time_s[at], states, filtered.acting_V[at], h, twin.parameters)
-            angles, *_ = twin.measure(begin)
-            result[:, steps_at.index(number)] = angles[:, :, 0] + shown_zero_rad
-        middle = Trajectory(
-            filtered.motor_time_s[at] + 0.5 * h, states, filtered.acting_V[at], h, twin.parameters
-        )
-        rates, jacobian, by_torque, *_ = twin.functions_without_derivatives.along(middle)
-        _, gamma = _kalman.midpoint(jacobian, h)
-        torque_Nm = steady_Nm + gust_Nm
-        # k numbers the forecasts, i and j the rows and columns of their matrices.
-        driven_rates = rates[:, :, 0] + np.einsum("kij,kj->ki", by_torque, torque_Nm)
-        states = states + np.einsum("kij,kj->ki", gamma, driven_rates)
-        if twin.resets is not None:
-            end = Trajectory(filtered.motor_time_s[at] + h, states, filtered.acting_V[at], h, twin.parameters)
-            (reset,) = twin.resets(end)
-            states = reset[:, :, 0]
-        gust_Nm = gust_Nm * decay
+            result[:, steps_at.index(number)], _ = ensemble.measured()
+        ensemble.step()
     return result
+
+
+def _expected_rad2(
+    twin: TwinModel, disturbances: DisturbanceModel, filtered: _FilteredFlight, count_rad: Floats
+) -> Floats:
+    """Return the mean square error at `MAIN_HORIZON_s` that a right model would have, (3,) [rad2].
+
+    The covariance of the filter is propagated without measurements. Shapes: `count_rad` (3,).
+    """
+    every = -(-len(filtered.starts) // _EXPECTED_STARTS)
+    starts = filtered.starts[::every]
+    ensemble = _Ensemble(twin, disturbances, filtered, starts)
+    covariance: Floats = np.array([start.covariance for start in starts])
+    nx, order = twin.states, covariance.shape[1]
+    gusts_and_drift = slice(nx, nx + 2 * _AXIS_COUNT)
+    autocorrelation = disturbances.autocorrelation(filtered.step_s)
+    persistence = np.ones(order)
+    persistence[gusts_and_drift] = autocorrelation
+    noise = np.zeros(order)
+    noise[gusts_and_drift] = (1.0 - autocorrelation**2) * disturbances.variance
+    transition = np.zeros_like(covariance)
+    for _ in range(round(MAIN_HORIZON_s / filtered.step_s)):
+        transition[:, :nx, :nx], by_torque = ensemble.step()
+        for first in range(nx, nx + 3 * _AXIS_COUNT, _AXIS_COUNT):  # gusts, drift, constant torques
+            transition[:, :nx, first : first + _AXIS_COUNT] = by_torque
+        transition[:, np.arange(nx, order), np.arange(nx, order)] = persistence[nx:]
+        covariance = transition @ covariance @ transition.transpose(0, 2, 1) + np.diag(noise)
+    _, by_state = ensemble.measured()
+    output = np.zeros((len(starts), _AXIS_COUNT, order))
+    output[:, :, :nx] = by_state
+    zeros = np.arange(len(ZEROS))
+    output[:, zeros, nx + 3 * _AXIS_COUNT + zeros] = 1.0
+    variance_rad2 = np.einsum("kai,kij,kaj->ka", output, covariance, output)
+    return np.asarray(variance_rad2.mean(axis=0) + count_rad**2 / 12.0)
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,13 @@ from heli_host.fly.plan import Plan
 from heli_sim.model.base import Effect, Model
 from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue
-from heli_sim.model.linear import derivatives, trim
+from heli_sim.model.linear import derivatives
 from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig
 from heli_sim.rig.schema import Quantity
 
 from heli_lab.errors import TwinError
-from heli_lab.fit.estimator import estimate
+from heli_lab.fit.estimator import Estimate, estimate
 from heli_lab.fit.flight_model import RigParameters, TORQUE_STD_Nm, filter_record, model_functions
 from heli_lab.fit.grey_box import DisturbanceModel, SLOW_CORRELATION_TIME_s
 from heli_lab.fit.innovations import InnovationsModel
@@ -92,10 +92,11 @@ def at_least_rounding(
     deviation of the rounding, a count over the root of 12. Estimates below that bound are arbitrary.
     """
     model_without_effects = type(model)()
-    hover = trim(model_without_effects, rig)
     names = model_without_effects.parameter_names
     torques = [names.index(f"torque_{axis}") for axis in AXES]
-    by_torque = derivatives(model_without_effects, rig, hover.state, hover.volts_V).P[3:6, torques]
+    # The inertias of the level arm at rest depend on no voltage, so a rig that cannot hover has them too.
+    level = np.zeros(len(model_without_effects.states))
+    by_torque = derivatives(model_without_effects, rig, level, np.zeros(2)).P[3:6, torques]
     rounding_rad = count_rad / 12.0**0.5
     # A constant torque moves an axis at rest by acceleration * t^2 / 2.
     min_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * DETECTABLE_WITHIN_s**2)
@@ -126,12 +127,12 @@ def learn_rig(
     The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
     tolerances of the rig file are the priors.
     """
-    of_flights = _with_fixed_rig(model, rig, healthy, labels)
+    of_flights = estimate_with_fixed_rig(model, rig, _prepared(rig, healthy, labels))
     twin_model, records, references = of_flights.model, of_flights.records, of_flights.references
     disturbances = of_flights.disturbances
     # Compute the covariance of all parameters at these estimates. The rig's parameters are the first.
     all_parameters, shared = of_flights.all_parameters, list(of_flights.fixed)
-    theta = np.concatenate((list(of_flights.fixed.values()), of_flights.constants))
+    theta = np.concatenate((list(of_flights.fixed.values()), of_flights.estimate.theta))
     functions = model_functions(twin_model, all_parameters.quantities)
     linearised = [
         LinearisedFlight(reference, functions, all_parameters.parameters(theta, index))
@@ -151,24 +152,25 @@ def learn_rig(
     return disturbances, ParameterUncertainty(tuple(shared), covariance, SUPPLY_STD, low_V, high_V)
 
 
-class _FixedRigEstimate(NamedTuple):
+class FixedRigEstimate(NamedTuple):
     """Disturbances and constants of flights, estimated with the parameters of the rig fixed."""
 
     model: Model  # Equations without random disturbances
-    records: list[Record]
+    records: Sequence[Record]
     references: list[ReferenceTrajectory]
     all_parameters: RigParameters  # Parameters of the rig, then the constants of each flight
     fixed: dict[str, float]  # Value of each parameter of the rig
-    constants: Floats  # Estimated encoder zeros and constant torques of each flight
-    disturbances: DisturbanceModel
+    estimate: Estimate  # Encoder zeros and constant torques of each flight, and its disturbances
+    disturbances: DisturbanceModel  # The same disturbances, at least those that the encoders can show
 
 
-def _with_fixed_rig(
-    model: Model, rig: Rig, flights: Sequence[Flight], labels: Sequence[str]
-) -> _FixedRigEstimate:
+def _prepared(rig: Rig, flights: Sequence[Flight], labels: Sequence[str]) -> list[Record]:
+    return [prepare(flight, rig, label) for flight, label in zip(flights, labels, strict=True)]
+
+
+def estimate_with_fixed_rig(model: Model, rig: Rig, records: Sequence[Record]) -> FixedRigEstimate:
     """Estimate the disturbances and the constants of each flight."""
     twin_model = TwinModel(model, rig, changes=()).model
-    records = [prepare(flight, rig, label) for flight, label in zip(flights, labels, strict=True)]
     references = [filter_record(record) for record in records]
     all_parameters = RigParameters(twin_model, rig, records)
     names = twin_model.parameter_names
@@ -178,16 +180,14 @@ def _with_fixed_rig(
     flight_constants = RigParameters(twin_model, rig, records, fixed)
     functions = model_functions(twin_model, flight_constants.quantities)
     constants = estimate(flight_constants, references, functions, flight_constants.start)
-    count_rad = np.min([count_rad_of(flight, rig) for flight in flights], axis=0)
+    count_rad = np.min([record.count_rad for record in records], axis=0)
     disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
-    return _FixedRigEstimate(
-        twin_model, records, references, all_parameters, fixed, constants.theta, disturbances
-    )
+    return FixedRigEstimate(twin_model, records, references, all_parameters, fixed, constants, disturbances)
 
 
 def learn_disturbances(model: Model, rig: Rig, flight: Flight, label: str) -> DisturbanceModel:
     """Estimate the disturbances of a flight with the parameters of the rig fixed."""
-    return _with_fixed_rig(model, rig, [flight], [label]).disturbances
+    return estimate_with_fixed_rig(model, rig, [prepare(flight, rig, label)]).disturbances
 
 
 def _known_voltages(records: Sequence[Record]) -> tuple[Floats, Floats]:

@@ -23,6 +23,7 @@ from heli_host.link.channels import rad_per_count
 from heli_host.link.clock import TICK_S
 
 from heli_lab.errors import TwinError
+from heli_lab.watch.acting_voltages import acting_flights
 from heli_lab.watch.calibration import TwinRig, open_rig
 from heli_lab.watch.steps import Samples, count_rad_of, samples_of, samples_of_log, samples_of_ticks
 from heli_lab.watch.twin import Twin, TwinEvent
@@ -44,6 +45,7 @@ class TwinReport:
     unjudged_s: float = 0.0
     """Time in that part with voltages that the nominal flights do not contain; no alarm begins then [s]."""
     flown_rig: str = ""  # Name of the rig in the flight's file; empty if it has none
+    slow_log: str = ""  # What a log lacks that is slower than its control loop; empty for other logs
 
     @property
     def max_evidence_nats(self) -> float:
@@ -112,16 +114,19 @@ def monitor_file(
     false_alarm_interval_h: float,
     start_s: float | None = None,
     stop_s: float | None = None,
+    loop_Hz: float | None = None,
 ) -> TwinReport:
     """Compare the flight in the file at `path` with the twin of a rig.
 
-    The other arguments and errors are those of `monitor_flight`. A file that holds no flight raises a
-    HeliError.
+    `loop_Hz` is the rate of the control loop of a table, None if it is unknown. The other arguments and
+    errors are those of `monitor_flight`. A file that holds no flight raises a HeliError.
     """
     if path.suffix.lower() != ".mcap":
         flight = read_flight(path, allow_gaps=True)
+        flown_rig = str(flight.meta.get("rig") or "")
+        (flight,), notes = acting_flights(twin_rig.model, twin_rig.rig, [flight], [path.name], loop_Hz)
         report = monitor_flight(twin_rig, flight, path.name, false_alarm_interval_h, start_s, stop_s)
-        return replace(report, flown_rig=str(flight.meta.get("rig") or ""))
+        return replace(report, flown_rig=flown_rig, slow_log="; ".join(notes))
     log = read_log(path)
     samples, zero_s = samples_of_log(log)
     count_rad = rad_per_count(log.parameters)

@@ -5,8 +5,8 @@ them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -18,16 +18,13 @@ from heli_sim.rig import Rig
 
 from heli_lab.errors import IdentifyError, TwinError
 from heli_lab.explain.prediction import ErrorReduction
-from heli_lab.explain.result import Diagnosis
+from heli_lab.explain.result import Diagnosis, Proposal, model_and_rig
 from heli_lab.explain.thresholds import MATTERS_COUNTS
 from heli_lab.fit.records import Record
-from heli_lab.watch.forecast import Forecasts, HorizonErrors, errors_at, forecasts_of
+from heli_lab.watch.forecast import Forecasts, HorizonErrors, MAIN_HORIZON_s, errors_at, forecasts_of
 from heli_lab.watch.learn import learn_disturbances
 from heli_lab.watch.steps import count_rad_of
 
-HORIZON_s: Final = 1.0
-"""Horizon of the forecasts that decide [s]: long enough to show a lag, too short for slow terms to
-dominate."""
 MAX_RATIO: Final = 1.1
 """Largest error of an axis with the causes, divided by that without them. By judgement. Larger: a model that
 predicts an axis worse is saved. Smaller: chance leaves out right causes of short flights."""
@@ -50,7 +47,7 @@ class LeftOutCause:
 
     effect: str  # Id of the effect
     axis: str  # Axis that is forecast worse with it
-    reduction: ErrorReduction  # Its error at `HORIZON_s` without and with the causes
+    reduction: ErrorReduction  # Its error at `MAIN_HORIZON_s` without and with the causes
     remedy: str  # Flight that would show whether the cause or its size is wrong
 
     @property
@@ -59,7 +56,7 @@ class LeftOutCause:
         growth = 100.0 * (self.reduction.ratio - 1.0)
         return (
             f"{self.effect} is left out of the rig: with it, the forecast error of {self.axis} at "
-            f"{HORIZON_s:g} s grows by {growth:.0f} % ({self.reduction.before_deg:.3g} to "
+            f"{MAIN_HORIZON_s:g} s grows by {growth:.0f} % ({self.reduction.before_deg:.3g} to "
             f"{self.reduction.after_deg:.3g} deg). {self.remedy}"
         )
 
@@ -71,21 +68,29 @@ class SavedRig:
     rig: Rig
     left_out: tuple[LeftOutCause, ...]
     lines: tuple[str, ...]  # Forecast error of each axis, and the range in which it was measured
+    has_term: bool = False  # Whether the rig has the proposed equation
+
+
+TERM: Final = "the proposed equation"
 
 
 def saved_rig(
     result: Diagnosis,
     name: str,
-    judged: Sequence[JudgedFlight],
-    model_of: Callable[[Rig], Model],
+    forecast: Forecaster,
     *,
     with_unconfirmed: bool,
+    with_term: bool = False,
 ) -> SavedRig:
-    """Make the extended rig called `name`, without causes with which an axis of the `judged` flights is
-    forecast worse by more than `MAX_RATIO`.
-
-    `model_of` makes the equations of a rig with its effects.
+    """Make the extended rig called `name`, without causes with which an axis is forecast worse by more than
+    `MAX_RATIO`. The same decides on a proposed equation. `forecast` forecasts the flights that decide.
     """
+    if with_term and result.proposal is not None:
+        with_equation = _with_equation(result, result.proposal, name, forecast)
+        if with_equation.has_term:
+            return with_equation
+        saved = saved_rig(result, name, forecast, with_unconfirmed=with_unconfirmed)
+        return replace(saved, left_out=(*with_equation.left_out, *saved.left_out))
     ids = [cause.effect for cause in result.verdict.causes] if with_unconfirmed else result.confirmed_ids
 
     def rig_with(causes: Sequence[str]) -> Rig:
@@ -96,7 +101,6 @@ def saved_rig(
     left_out: list[LeftOutCause] = []
     remaining = list(ids)
     whole_rig = rig_with(remaining)
-    forecast = _Forecaster(judged, model_of, whole_rig)
     try:
         baseline = forecast(rig_with([])) if ids else None
         of_rig = forecast(whole_rig)
@@ -116,54 +120,164 @@ def saved_rig(
     return SavedRig(rig_with(remaining), tuple(left_out), forecast_lines(of_rig))
 
 
-class _Forecaster:
-    """Forecasts of the judged flights with a rig; each rig is computed once. `rig` states the encoders."""
+def _with_equation(result: Diagnosis, proposal: Proposal, name: str, forecast: Forecaster) -> SavedRig:
+    """Make the rig with the proposed equation, or state with which axis it is left out."""
+    rig = result.rig(name, with_term=True)
+    model, _ = model_and_rig(proposal.term.discovery.hypothesis)
+    try:
+        of_rig = forecast_flights(model, rig, forecast.judged)
+        errors = at_horizon(of_rig, forecast(result.rig(name, only=())))
+    except HeliError as error:
+        return SavedRig(rig, (), (f"Forecasts were not measured: {error}",), has_term=True)
+    axis = worst_axis(errors, forecast.count_deg)
+    if axis is None:
+        return SavedRig(rig, (), forecast_lines(of_rig), has_term=True)
+    assert errors.reduction is not None
+    remedy = what_to_fly(axis, result.assessment.before.fit.problem.records, of_rig)
+    return SavedRig(rig, (LeftOutCause(TERM, axis, errors.reduction[axis], remedy),), ())
+
+
+@dataclass(frozen=True)
+class RigComparison:
+    """Forecasts with an identified rig, compared with those of the rig before."""
+
+    labels: tuple[str, ...]  # Flights that were forecast
+    reductions: Mapping[str, ErrorReduction]  # By axis, at `MAIN_HORIZON_s`
+    worse: tuple[str, ...]  # Axes that are forecast worse by more than `MAX_RATIO`
+    lines: tuple[
+        str, ...
+    ]  # Warnings, the forecast error of each axis, and the range in which it was measured
+
+
+def compare_rigs(
+    before: tuple[Model, Rig],
+    after: tuple[Model, Rig],
+    judged: Sequence[JudgedFlight],
+    fitted: Iterable[Record],
+) -> RigComparison:
+    """Compare the forecasts of equations and rig before and after an identification from `fitted` flights.
+
+    A HeliError is raised if no flight is long enough.
+    """
+    of_rig = forecast_flights(*after, judged)
+    errors = at_horizon(of_rig, forecast_flights(*before, judged))
+    assert errors.reduction is not None
+    _, rig = after
+    count_deg = _count_deg(judged, rig)
+    worse = [axis for axis in AXES if axis in _growing_axes(errors, count_deg)]
+    warnings = [
+        f"With this rig, the forecast error of {axis} at {MAIN_HORIZON_s:g} s is "
+        f"{errors.reduction[axis].ratio:.2f} times that of the rig before "
+        f"({errors.reduction[axis].before_deg:.3g} to {errors.reduction[axis].after_deg:.3g} deg). "
+        f"{what_to_fly(axis, fitted, of_rig)}"
+        for axis in worse
+    ]
+    labels = tuple(flight.label for flight in of_rig)
+    return RigComparison(labels, errors.reduction, tuple(worse), (*warnings, *forecast_lines(of_rig)))
+
+
+def comparison_json(comparison: RigComparison) -> dict[str, Any]:
+    """Write a comparison as a JSON object; docs/reference/json.md describes its keys."""
+    return {
+        "horizon_s": MAIN_HORIZON_s,
+        "flights": list(comparison.labels),
+        "axis": {axis: _reduction_json(reduction) for axis, reduction in comparison.reductions.items()},
+        "worse": list(comparison.worse),
+    }
+
+
+def saved_json(saved: SavedRig) -> dict[str, Any]:
+    """Write which causes a saved rig has as a JSON object; docs/reference/json.md describes its keys."""
+    return {
+        "effects": sorted(saved.rig.effects),
+        "left_out": [
+            {
+                "effect": cause.effect,
+                "axis": cause.axis,
+                **_reduction_json(cause.reduction),
+                "sentence": cause.sentence,
+            }
+            for cause in saved.left_out
+        ],
+    }
+
+
+def _reduction_json(reduction: ErrorReduction) -> dict[str, Any]:
+    return {
+        "before_deg": reduction.before_deg,
+        "after_deg": reduction.after_deg,
+        "ratio": reduction.ratio,
+        "interval95": list(reduction.interval95),
+    }
+
+
+def _count_deg(judged: Sequence[JudgedFlight], rig: Rig) -> Floats:
+    """Return the largest angle of a count of each encoder in some flights, (3,) [deg]."""
+    counts_rad = [count_rad_of(flight, rig) for _, flight, _ in judged]
+    return np.asarray(np.rad2deg(np.max(counts_rad, axis=0, initial=0.0)))
+
+
+class Forecaster:
+    """Forecasts of the `judged` flights with a rig; each rig is computed once.
+
+    `model_of` makes the equations of a rig with its effects. `rig` states the encoders.
+    """
 
     def __init__(self, judged: Sequence[JudgedFlight], model_of: Callable[[Rig], Model], rig: Rig) -> None:
-        self._judged, self._model_of = judged, model_of
-        counts_rad = [count_rad_of(flight, rig) for _, flight, _ in judged]
-        self.count_deg: Floats = np.rad2deg(np.max(counts_rad, axis=0, initial=0.0))  # (3,): A count
+        self.judged, self.model_of = judged, model_of
+        self.count_deg = _count_deg(judged, rig)  # (3,): A count
         self._known: dict[tuple[str, ...], list[Forecasts]] = {}
 
     def __call__(self, rig: Rig) -> list[Forecasts]:
+        """Return the forecasts with a rig, one per flight that is long enough."""
         key = tuple(sorted(rig.effects))
         if key not in self._known:
-            self._known[key] = self._forecasts(self._model_of(rig), rig)
+            self._known[key] = forecast_flights(self.model_of(rig), rig, self.judged)
         return self._known[key]
 
-    def _forecasts(self, model: Model, rig: Rig) -> list[Forecasts]:
-        """Forecast the flights that are long enough; raise the last error if none is."""
-        forecasts, refused = [], HeliError("no flight was given", "give a flight to --validate")
-        for label, flight, span_s in self._judged:
-            try:
-                disturbances = learn_disturbances(model, rig, flight, label)
-                forecasts.append(forecasts_of(model, rig, disturbances, flight, label, span_s))
-            except (TwinError, IdentifyError) as error:
-                refused = error
-        if not forecasts:
-            raise refused
-        return forecasts
+
+def forecast_flights(model: Model, rig: Rig, judged: Sequence[JudgedFlight]) -> list[Forecasts]:
+    """Forecast the flights that are long enough; raise the last error if none is."""
+    forecasts, refused = [], HeliError("no flight was given", "give a flight to --validate")
+    for label, flight, span_s in judged:
+        try:
+            disturbances = learn_disturbances(model, rig, flight, label)
+            forecasts.append(forecasts_of(model, rig, disturbances, flight, label, span_s))
+        except (TwinError, IdentifyError) as error:
+            refused = error
+    if not forecasts:
+        raise refused
+    return forecasts
 
 
 def at_horizon(forecasts: Sequence[Forecasts], baseline: Sequence[Forecasts] | None) -> HorizonErrors:
-    """Return the errors at `HORIZON_s`; a TwinError is raised if no flight is long enough."""
-    errors = errors_at(HORIZON_s, forecasts, baseline)
+    """Return the errors at `MAIN_HORIZON_s`; a TwinError is raised if no flight is long enough."""
+    errors = errors_at(MAIN_HORIZON_s, forecasts, baseline)
     if errors is None:
-        raise TwinError(f"no flight lasts {HORIZON_s:g} s after the first forecast", "give a longer flight")
+        raise TwinError(
+            f"no flight lasts {MAIN_HORIZON_s:g} s after the first forecast", "give a longer flight"
+        )
     return errors
 
 
 def worst_axis(errors: HorizonErrors, count_deg: Floats) -> str | None:
-    """Return the axis whose error grows most, if it grows by more than `MAX_RATIO` and by more than
-    `MATTERS_COUNTS` encoder counts; otherwise None. Shapes: `count_deg` (3,).
+    """Return the axis whose error grows most among `_growing_axes`; None if there are none. Shapes:
+    `count_deg` (3,).
+    """
+    ratios = _growing_axes(errors, count_deg)
+    return max(ratios, key=lambda axis: ratios[axis]) if ratios else None
+
+
+def _growing_axes(errors: HorizonErrors, count_deg: Floats) -> dict[str, float]:
+    """Return the ratio of the errors of each axis whose error grows by more than `MAX_RATIO` and by more than
+    `MATTERS_COUNTS` encoder counts. Shapes: `count_deg` (3,).
     """
     assert errors.reduction is not None
-    ratios: Mapping[str, float] = {
+    return {
         axis: reduction.ratio
         for (axis, reduction), count in zip(errors.reduction.items(), count_deg, strict=True)
         if reduction.ratio > MAX_RATIO and reduction.after_deg - reduction.before_deg > MATTERS_COUNTS * count
     }
-    return max(ratios, key=lambda axis: ratios[axis]) if ratios else None
 
 
 def _most_harmful(
@@ -210,7 +324,7 @@ def _highest_rate_rad_s(record: Record, axis: int) -> float:
 
 
 def forecast_lines(forecasts: Sequence[Forecasts]) -> tuple[str, ...]:
-    """State the forecast error of each axis at `HORIZON_s`, and the range in which it was measured."""
+    """State the forecast error of each axis at `MAIN_HORIZON_s`, and the range in which it was measured."""
     errors = at_horizon(forecasts, None)
     labels = ", ".join(flight.label for flight in forecasts)
     low_V = np.min([flight.range_V[0] for flight in forecasts], axis=0)
@@ -218,8 +332,8 @@ def forecast_lines(forecasts: Sequence[Forecasts]) -> tuple[str, ...]:
     low_deg_s = np.rad2deg(np.min([flight.range_rad_s[0] for flight in forecasts], axis=0))
     high_deg_s = np.rad2deg(np.max([flight.range_rad_s[1] for flight in forecasts], axis=0))
     return (
-        f"Forecast error at {HORIZON_s:g} s, rms on {labels}, at front {low_V[0]:.1f} to {high_V[0]:.1f} V, "
-        f"back {low_V[1]:.1f} to {high_V[1]:.1f} V:",
+        f"Forecast error at {MAIN_HORIZON_s:g} s, rms on {labels}, at "
+        f"front {low_V[0]:.1f} to {high_V[0]:.1f} V, back {low_V[1]:.1f} to {high_V[1]:.1f} V:",
         *(
             f"  {axis}: {errors.with_causes[axis]:.3g} deg, at {low:z.3g} to {high:z.3g} deg/s"
             for axis, low, high in zip(AXES, low_deg_s, high_deg_s, strict=True)

@@ -33,17 +33,22 @@ from heli_lab.report.diagnosis import figures
 from heli_lab.report.diagnosis.figures import figure_of_gain, figure_of_missing_terms, figure_of_prediction
 from heli_lab.report.diagnosis.serialize import proposal_json, to_json
 from heli_lab.report.diagnosis.text import (
+    SHARE_HEADS,
     CauseEntry,
     cause_entries,
     disturbances_in_words,
     equation_evidence,
+    error_share_rows,
+    error_share_sentences,
     next_step,
+    share_heading,
     small_effect_lines,
     summary,
     title,
 )
 from heli_lab.report.page import folder_with, write_page
 from heli_lab.report.page.drawing import Drawing, Picture
+from heli_lab.watch.error_shares import ErrorShares
 
 _NAMES: Final = r"(?:\\[A-Za-z]+|[A-Za-z])(?:_(?:\{[^}]*\}|\\[a-z]+|[A-Za-z0-9]))?"
 _SYMBOL: Final = re.compile(_NAMES)
@@ -289,6 +294,16 @@ def gain_rows(gain: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     ]
 
 
+def _share_section(shares: ErrorShares, label: str) -> dict[str, Any]:
+    """Return the parts of the forecast error for the page."""
+    return {
+        "text": full_sentence(capital(share_heading(shares))),
+        "heads": SHARE_HEADS,
+        "rows": error_share_rows(shares),
+        "sentences": [full_sentence(line) for line in error_share_sentences(shares, label)],
+    }
+
+
 def calibration_tables(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return a table for each calibrated validation flight, with the zeros and constant torques of baseline
     and extended model.
@@ -447,10 +462,18 @@ _MIN_SHOWN_NATS: Final = 3.0
 _EXCITATION_PAGE: Final = Path(__file__).with_name("insufficient_excitation.html")
 
 
-def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | None = None) -> Path:
-    """Write a report: index.html, result.json, figures as PNG, and the effect file of a proposed equation."""
+def write_report(
+    diagnosis: Diagnosis,
+    folder: str | Path,
+    drawing: Drawing | None = None,
+    shares: ErrorShares | None = None,
+) -> Path:
+    """Write a report: index.html, result.json, figures as PNG, and the effect file of a proposed equation.
+
+    `shares` are the parts of the forecast error.
+    """
     drawing = drawing or Drawing()
-    numbers = to_json(diagnosis)
+    numbers = to_json(diagnosis, shares)
     folder = folder_with(numbers, folder)
     held_out = diagnosis.held_out.extension
     before, after = held_out.before[0].fit, held_out.after[0].fit
@@ -493,6 +516,7 @@ def write_report(diagnosis: Diagnosis, folder: str | Path, drawing: Drawing | No
             ),
             "rows": gain_rows(numbers["gain"]["axis"]),
         },
+        forecast_error=None if shares is None else _share_section(shares, diagnosis.label),
         causes=[
             cause_section(cause, meanings, diagnosis.label != "unexplained", save_figure)
             for cause in cause_entries(diagnosis)

@@ -31,15 +31,16 @@ from heli_lab.report.diagnosis.text import (
     too_small_effects,
     unexplained,
 )
+from heli_lab.watch.error_shares import ErrorShares, shares_json
 
 _SCREENED, _SPLINES = 8, 3
 """Candidates of a round in the ranking: effects, then splines."""
 
 
-def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
+def to_json(result: Diagnosis | InsufficientExcitation, shares: ErrorShares | None = None) -> dict[str, Any]:
     """Write a `result` as a JSON object; docs/reference/json.md describes its keys.
 
-    Numbers are null if the flights excite nothing.
+    Numbers are null if the flights excite nothing. `shares` are the parts of the forecast error.
     """
     if isinstance(result, InsufficientExcitation):
         return _insufficient_excitation_json(result)
@@ -55,6 +56,7 @@ def to_json(result: Diagnosis | InsufficientExcitation) -> dict[str, Any]:
         "disturbances": disturbances(result.assessment.residual_analysis),
         "thrust_noise": thrust_noise(result.assessment.residual_analysis),
         "gain": _error_reduction_json(result),
+        "forecast_error": None if shares is None else shares_json(shares),
         "unexplained": unexplained(result),
         "proposed_term": proposal_json(result.proposal) if result.proposal else None,
         "failing_regions": _failing_regions_json(result.failing_regions),
@@ -92,6 +94,7 @@ def _insufficient_excitation_json(result: InsufficientExcitation) -> dict[str, A
             "extrapolation": [],
             "worse": [],
         },
+        "forecast_error": None,
         "unexplained": None,
         "proposed_term": None,
         "failing_regions": None,

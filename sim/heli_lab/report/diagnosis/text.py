@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
+from heli_host.data.log.comparison import table_lines
 from heli_sim.model.effect import AXES, NEVER_s
 
 from heli_lab.explain.experiment_design import InsufficientExcitation
@@ -25,6 +26,8 @@ from heli_lab.explain.thresholds import (
 from heli_lab.explain.verdict import CauseParameter, FamilyNumber, NamedCause, PriorConflict
 from heli_lab.explain.wording import capital, dependence_in_words, evidence_in_words
 from heli_lab.fit.voltage_timing import slow_log_notes
+from heli_lab.watch.error_shares import ErrorShares
+from heli_lab.watch.forecast import MAIN_HORIZON_s
 
 
 @dataclass(frozen=True)
@@ -504,8 +507,69 @@ def thrust_noise_in_words(noise: Mapping[str, Mapping[str, float]]) -> list[str]
     ]
 
 
-def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
-    """List the numbers behind the summary, one line each."""
+def error_share_rows(shares: ErrorShares) -> list[list[str]]:
+    """Return a table row for each axis: error without and with the causes [deg], and each part of the error
+    in degrees and in percent of its mean square.
+    """
+
+    def cell(part_deg2: float, total_deg2: float) -> str:
+        percent = 100.0 * part_deg2 / total_deg2 if total_deg2 > 0.0 else 0.0
+        sign = "-" if part_deg2 < 0.0 else ""
+        return f"{sign}{abs(part_deg2) ** 0.5:.2g} ({percent:.0f} %)"
+
+    return [
+        [
+            axis,
+            f"{of_axis.before_deg:.3g}",
+            f"{of_axis.after_deg:.3g}",
+            *(cell(part_deg2, of_axis.before_deg**2) for part_deg2 in of_axis.parts_deg2.values()),
+        ]
+        for axis, of_axis in shares.axes.items()
+    ]
+
+
+SHARE_HEADS: Final = ("axis", "without causes", "with causes", "causes", "disturbances", "unknown")
+"""Heads of the columns of `error_share_rows`."""
+
+
+def error_share_sentences(shares: ErrorShares, label: str) -> list[str]:
+    """State on what the remaining forecast error depends, in sentences without full stops; `label` is that of
+    the verdict.
+    """
+    judged = ", ".join(shares.labels)
+    sentences = [
+        f"{capital(dependence_in_words(curve))} predicts a part of the unknown error of {judged}"
+        for curve in shares.curves
+    ]
+    sentences += [
+        f"In {judged}, the error of {axis} is {of_axis.larger_where.ratio:.1f} times as large if a forecast "
+        f"begins with {of_axis.larger_where.text}"
+        for axis, of_axis in shares.axes.items()
+        if of_axis.larger_where is not None
+    ]
+    if label != "unexplained":
+        return sentences
+    if not shares.has_other_flight:
+        return ["No other flight was given, so a dependence of the unknown error was not tested"]
+    if not any(of_axis.unknown_deg2 for of_axis in shares.axes.values()):
+        sentences.append(
+            "What no effect explains is significant, but forecasts do not distinguish it from random torques"
+        )
+    if not any(of_axis.larger_where for of_axis in shares.axes.values()):
+        sentences.append(f"No range of voltage, angle or rate has significantly larger errors in {judged}")
+    return sentences
+
+
+def share_heading(shares: ErrorShares) -> str:
+    """Name what the parts are parts of, with their units."""
+    return (
+        f"error of forecasts {MAIN_HORIZON_s:g} s ahead on {', '.join(shares.labels)}, deg rms, and its "
+        "parts (% of the mean square)"
+    )
+
+
+def lines(result: Diagnosis | InsufficientExcitation, shares: ErrorShares | None = None) -> list[str]:
+    """List the numbers behind the summary, one line each; `shares` are the parts of the forecast error."""
     if isinstance(result, InsufficientExcitation):
         return [
             f"undetectable effects: {', '.join(result.undetectable)}",
@@ -527,6 +591,10 @@ def lines(result: Diagnosis | InsufficientExcitation) -> list[str]:
             f"  {axis:9}  {reduction.before_deg:<7.3g} {reduction.after_deg:<7.3g} {reduction.ratio:.2f} "
             f"({low:.2f} to {high:.2f})"
         )
+    if shares is not None:
+        lines.append(f"{share_heading(shares)}:")
+        lines += [f"  {line}" for line in table_lines([SHARE_HEADS, *error_share_rows(shares)])]
+        lines += error_share_sentences(shares, result.label)
     lines += [f"a curve in its place: {curve.what}" for curve in result.curves]
     lines += _error_reduction_text(result.held_out.splines)
     if result.proposal is not None:
