@@ -80,7 +80,7 @@ def class_(
     """Fly and mark a folder of submissions, in simulation and then on the rig.
 
     A submission is a folder with law.py, a plan (TOML), a parameter file, or several of these. Log, figure
-    and mark go into its folder `marked`. An existing folder is replaced, except its flights on the rig. All
+    and mark go into its folder `marked`. A new run replaces this folder, but keeps flights on the rig. All
     marks, with the points for each measure, go into FOLDER/marks.csv. A law's file has limits of processor
     time and memory (1 GB), and may not write files, open sockets or start processes. Only submissions that
     flew to the end of the simulation may fly on the rig.
