@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.table import write_csv
 from heli_host.fly.plan import Plan
@@ -16,7 +17,7 @@ from heli_host.ui.cli import run
 from heli_lab.errors import TwinError
 from heli_lab.watch.calibration import DEFAULT_DISTURBANCES
 from heli_lab.watch.forecast import Forecasts, HORIZONS_s, START_EVERY_s, forecasts_of, horizon_errors
-from heli_lab.watch.learn import fly_simulated
+from heli_lab.watch.learn import fly_simulated, with_process_noise
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects
@@ -64,6 +65,25 @@ def test_the_right_model_forecasts_better_than_the_wrong_one_and_than_persistenc
     # Without disturbances, the right model has an error of a few counts of 0.09 degrees after 1 s.
     assert rows[2].with_causes["pitch"] < 0.3
     assert rows[2].forecasts > 20
+
+
+@pytest.mark.slow
+def test_the_error_of_a_right_model_in_gusts_is_the_expected_one() -> None:
+    """The covariance of the filter, propagated over 1 s, has the size of the errors. That of a wrong model is
+    too small for its errors.
+    """
+    in_gusts = with_process_noise(LAG, DEFAULT_DISTURBANCES)
+    flight = fly_simulated(in_gusts, RIG, Plan.parse(PLAN, "short.toml"), seed=3)
+    horizon = HORIZONS_s.index(1.0)
+
+    def ratios(model: MultibodyModel) -> Floats:
+        """Return the mean square error divided by the expected one, (3,)."""
+        forecast = forecasts_of(model, RIG, DEFAULT_DISTURBANCES, flight, "short")
+        return np.asarray(np.nanmean(forecast.squares_rad2(horizon), axis=0) / forecast.expected_rad2)
+
+    right = ratios(LAG)
+    assert np.all((right > 0.3) & (right < 2.0)), right
+    assert ratios(MultibodyModel())[AXES.index("pitch")] > 3.0
 
 
 @pytest.mark.slow

@@ -302,32 +302,34 @@ def diagnose(
             if report is not None:
                 output_files.append(write_insufficient_excitation(result, report))
         else:
-            bar.show("forecasts", 0.93)
-            after = result.assessment.after
-            held_out_records = after.held_out_fit.problem.records if after.held_out_fit else ()
-            records = (*after.fit.problem.records, *held_out_records)
-            judged = _judged_flights(paths, inputs.labels, spans, allow_gaps, records)
-            forecast = Forecaster(
-                judged[len(flights) :] if result.has_other_flight else judged[: len(flights)],
-                lambda rig: model_of(rig, inputs.model.name, effect_file or ()),
-                inputs.rig,
-            )
-            shares = _error_shares(result, forecast, judged[: len(flights)])
-            if save_rig is not None:
-                bar.show("forecasts with the extended rig", 0.94)
-                source = f"heli-host diagnose, model {inputs.model.name}"
-                saved = saved_rig(
-                    result,
-                    save_rig.stem,
-                    forecast,
-                    with_unconfirmed=with_unconfirmed,
-                    with_term=with_term,
+            if result.label != "explained" or save_rig is not None:
+                bar.show("forecasts", 0.93)
+                after = result.assessment.after
+                held_out_records = after.held_out_fit.problem.records if after.held_out_fit else ()
+                records = (*after.fit.problem.records, *held_out_records)
+                judged = _judged_flights(paths, inputs.labels, spans, allow_gaps, records)
+                forecast = Forecaster(
+                    judged[len(flights) :] if result.has_other_flight else judged[: len(flights)],
+                    lambda rig: model_of(rig, inputs.model.name, effect_file or ()),
+                    inputs.rig,
                 )
-                rig_remark = unconfirmed_in_rig(result, saved.has_term, with_unconfirmed)
-                comment = f"Found by {source}. {summary(result)} {rig_remark}".strip()
-                rig_lines = [*(cause.sentence for cause in saved.left_out), *saved.lines]
-                write_rig(saved.rig, save_rig, "\n".join([comment, *rig_lines]))
-                output_files.append(save_rig)
+                if result.label != "explained":
+                    shares = _error_shares(result, forecast, judged[: len(flights)])
+                if save_rig is not None:
+                    bar.show("forecasts with the extended rig", 0.94)
+                    source = f"heli-host diagnose, model {inputs.model.name}"
+                    saved = saved_rig(
+                        result,
+                        save_rig.stem,
+                        forecast,
+                        with_unconfirmed=with_unconfirmed,
+                        with_term=with_term,
+                    )
+                    rig_remark = unconfirmed_in_rig(result, saved.has_term, with_unconfirmed)
+                    comment = f"Found by {source}. {summary(result)} {rig_remark}".strip()
+                    rig_lines = [*(cause.sentence for cause in saved.left_out), *saved.lines]
+                    write_rig(saved.rig, save_rig, "\n".join([comment, *rig_lines]))
+                    output_files.append(save_rig)
             if report is not None:
                 bar.show("drawing", 0.95)
                 output_files.append(write_report(result, report, drawing, shares))
@@ -377,13 +379,11 @@ def _judged_flights(
 def _error_shares(
     result: Diagnosis, forecast: Forecaster, fitted: Sequence[JudgedFlight]
 ) -> ErrorShares | None:
-    """Return the parts of the forecast error; None if nothing is missing, or if no flight is long enough."""
+    """Return the parts of the forecast error; None if no flight is long enough."""
     from heli_host.errors import HeliError
 
     from heli_lab.watch.error_shares import error_shares
 
-    if result.label == "explained":
-        return None
     try:
         return error_shares(result, forecast, fitted)
     except HeliError:

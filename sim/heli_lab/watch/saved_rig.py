@@ -164,7 +164,7 @@ def compare_rigs(
     assert errors.reduction is not None
     _, rig = after
     count_deg = _count_deg(judged, rig)
-    worse = [axis for axis in AXES if axis in _growing_axes(errors, count_deg)]
+    worse = [axis for axis in AXES if axis in growing_axes(errors, count_deg)]
     warnings = [
         f"With this rig, the forecast error of {axis} at {MAIN_HORIZON_s:g} s is "
         f"{errors.reduction[axis].ratio:.2f} times that of the rig before "
@@ -261,14 +261,14 @@ def at_horizon(forecasts: Sequence[Forecasts], baseline: Sequence[Forecasts] | N
 
 
 def worst_axis(errors: HorizonErrors, count_deg: Floats) -> str | None:
-    """Return the axis whose error grows most among `_growing_axes`; None if there are none. Shapes:
+    """Return the axis whose error grows most among `growing_axes`; None if there are none. Shapes:
     `count_deg` (3,).
     """
-    ratios = _growing_axes(errors, count_deg)
+    ratios = growing_axes(errors, count_deg)
     return max(ratios, key=lambda axis: ratios[axis]) if ratios else None
 
 
-def _growing_axes(errors: HorizonErrors, count_deg: Floats) -> dict[str, float]:
+def growing_axes(errors: HorizonErrors, count_deg: Floats) -> dict[str, float]:
     """Return the ratio of the errors of each axis whose error grows by more than `MAX_RATIO` and by more than
     `MATTERS_COUNTS` encoder counts. Shapes: `count_deg` (3,).
     """
