@@ -63,7 +63,15 @@ def shares(
         rms_deg = before_deg * even if of is RIG else even
         return [forecasts("judged.csv", rms_deg, expected_deg * even, on_judged)]
 
-    result: Any = SimpleNamespace(has_other_flight=True, rig=rig, curved=None, label="unexplained")
+    dependence = SimpleNamespace(what="torque.travel on travel_rate near rest", matters=True)
+    result: Any = SimpleNamespace(
+        has_other_flight=True,
+        rig=rig,
+        curved=None,
+        label="unexplained",
+        verdict=SimpleNamespace(unlisted=()),
+        assessment=SimpleNamespace(residual_analysis=SimpleNamespace(dependences=[dependence])),
+    )
     fitted = [forecasts("fitted.csv", even, even, on_fitted)]
     monkeypatch.setattr(module, "forecast_flights", lambda *_: fitted)
     forecaster: Any = forecast
@@ -106,6 +114,7 @@ def test_a_range_with_larger_errors_on_both_flights_is_stated(monkeypatch: pytes
 def test_a_range_that_the_second_flight_contradicts_is_not_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     result = shares(monkeypatch, on_fitted=3.0)
     assert all(of_axis.larger_where is None for of_axis in result.axes.values())
-    *_, sentence = error_share_sentences(result, "unexplained")
+    unresolved, sentence = error_share_sentences(result, "unexplained")
+    assert unresolved.endswith("is significant, but forecasts do not show how much of the disturbances it is")
     assert sentence == "No range of voltage, angle or rate has significantly larger errors in judged.csv"
     assert error_share_sentences(result, "cause_found") == []

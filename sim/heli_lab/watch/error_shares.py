@@ -102,6 +102,9 @@ class ErrorShares:
     axes: Mapping[str, AxisShares]
     curves: tuple[str, ...]
     """Curves that predict a part of the error, ``CHANNEL on QUANTITY``; empty if none does."""
+    unresolved: tuple[str, ...] = ()
+    """Significant dependences, ``CHANNEL on QUANTITY``, that no curve predicts; their part of the error is
+    among the disturbances."""
 
 
 def error_shares(result: Diagnosis, forecast: Forecaster, fitted: Sequence[JudgedFlight]) -> ErrorShares:
@@ -148,7 +151,8 @@ def error_shares(result: Diagnosis, forecast: Forecaster, fitted: Sequence[Judge
             )
             for axis, unknown, larger_where in zip(AXES, unknown_deg2, ranges, strict=True)
         },
-        _curve_names(result) if is_curve_confirmed.any() else (),
+        curves=_curve_names(result) if is_curve_confirmed.any() else (),
+        unresolved=() if is_curve_confirmed.any() else _unresolved(result),
     )
 
 
@@ -157,6 +161,15 @@ def _expected_deg2(forecasts: Sequence[Forecasts]) -> Floats:
     counts = [len(flight.start_s) for flight in forecasts]
     expected_rad2 = np.average([flight.expected_rad2 for flight in forecasts], axis=0, weights=counts)
     return np.asarray(np.rad2deg(1.0) ** 2 * expected_rad2)
+
+
+def _unresolved(result: Diagnosis) -> tuple[str, ...]:
+    """Name the significant dependences that no effect explains, ``CHANNEL on QUANTITY``."""
+    if result.label != "unexplained":
+        return ()
+    unlisted = [" on ".join(cause.candidate.dependence) for cause in result.verdict.unlisted]
+    dependences = result.assessment.residual_analysis.dependences
+    return tuple(unlisted or [dependence.what for dependence in dependences if dependence.matters])
 
 
 def _curve_names(result: Diagnosis) -> tuple[str, ...]:
@@ -238,6 +251,7 @@ def shares_json(shares: ErrorShares) -> dict[str, Any]:
         "held_out": shares.has_other_flight,
         "axis": {axis: _axis_json(of_axis) for axis, of_axis in shares.axes.items()},
         "depends_on": list(shares.curves),
+        "unresolved": list(shares.unresolved),
     }
 
 

@@ -551,10 +551,11 @@ def error_share_sentences(shares: ErrorShares, label: str) -> list[str]:
         return sentences
     if not shares.has_other_flight:
         return ["No other flight was given, so a dependence of the unknown error was not tested"]
-    if not any(of_axis.unknown_deg2 for of_axis in shares.axes.values()):
-        sentences.append(
-            "What no effect explains is significant, but forecasts do not distinguish it from random torques"
-        )
+    sentences += [
+        f"{capital(dependence_in_words(dependence))} is significant, but forecasts do not show how much of "
+        "the disturbances it is"
+        for dependence in shares.unresolved
+    ]
     if not any(of_axis.larger_where for of_axis in shares.axes.values()):
         sentences.append(f"No range of voltage, angle or rate has significantly larger errors in {judged}")
     return sentences
