@@ -421,6 +421,14 @@ def test_command_writes_equation_and_effect_file(
     assert "proposed_term" in Path("with_term.toml").read_text()
     page = Path("why/index.html").read_text(encoding="utf-8")
     assert "Proposed equation" in page
+    # The equation is unknown to the model, and its curve predicts the error of the validation flight.
+    numbers = json.loads(Path("why.json").read_text(encoding="utf-8"))
+    parts = numbers["forecast_error"]["axis"]["pitch"]
+    assert parts["unknown"]["share"] > 0.5
+    assert numbers["forecast_error"]["depends_on"] == ["torque.pitch on elevation"]
+    assert numbers["saved_rig"] == {"effects": ["proposed_term"], "left_out": []}
+    assert "What the forecast error consists of" in page
+    assert "A torque about pitch that depends on elevation predicts a part of the unknown error" in result.out
 
 
 @pytest.mark.parametrize(

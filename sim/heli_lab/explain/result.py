@@ -331,8 +331,11 @@ class Diagnosis:
             fit = self.assessment.after.fit
             causes = {cause.effect: dict(cause.parameters) for cause in self.verdict.causes}
         elif only is not None:
-            assert self.replication.with_causes is not None, "the search was not pickled"
-            fit = self.replication.with_causes(only).fit
+            if self.replication.with_causes is not None:
+                fit = self.replication.with_causes(only).fit
+            else:
+                assert not only, "the search was not pickled"
+                fit = self.assessment.before.fit
             causes = {
                 cause.effect: cause_parameters(fit, self.kinds[cause.effect], cause.candidate.effect.values)
                 for cause in self.verdict.causes
