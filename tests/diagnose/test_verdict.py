@@ -15,10 +15,11 @@ from heli_host.data.flight import Flight
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.explain import assessment
 from heli_lab.explain.assessment import (
+    Influence,
     absence_probability,
     absent_terms,
+    influences,
     justified_thrust_noise,
-    prediction_changes,
 )
 from heli_lab.explain.candidates import ScoredCandidate, typical_candidate
 from heli_lab.explain.comparison import Hypothesis, ModelComparison
@@ -38,7 +39,7 @@ from heli_lab.explain.verdict import (
     tried_without,
 )
 from heli_lab.fit.records import prepare
-from heli_lab.report.diagnosis.text import lines, prior_conflict_sentence, thrust_noise_in_words
+from heli_lab.report.diagnosis.text import cautions, lines, prior_conflict_sentence, thrust_noise_in_words
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands, Stage
 from heli_sim.model.effects import catalogue, effects_of, parse_effects
@@ -146,6 +147,16 @@ def test_estimate_without_a_tight_wrong_prior_is_right() -> None:
     assert conflict.freed.value < conflict.value < 2.0 * FRICTION
     assert conflict.freed.log_likelihood_gain > 30.0
     assert "these flights alone give 0.0" in prior_conflict_sentence(conflict)
+
+
+def test_an_effect_that_a_wrong_parameter_stands_in_for_has_a_score() -> None:
+    fit, _ = flights()
+    rig = with_tight_prior(2.0 * FRICTION)
+    comparison = ModelComparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])
+    baseline = comparison.refit([])
+    (scored,) = Screening(baseline.estimate).effects([KINDS["removed.friction.travel"]])
+    refitted_nats = comparison.refit([scored.candidate]).log_likelihood - baseline.log_likelihood
+    assert 0.25 * refitted_nats < scored.log_likelihood_gain < 1.2 * refitted_nats
 
 
 def test_without_prior_conflicts_nothing_is_refitted() -> None:
@@ -272,14 +283,15 @@ _NO_REFIT: Any = SimpleNamespace()
 def test_lag_changes_the_prediction_by_many_counts() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     before, after = diagnosis.assessment.before, diagnosis.assessment.after
-    changes = prediction_changes(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, before, after)
+    changes = influences(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, before, after)
     assert changes.keys() == {"rotor_lag"}
     # As much as the baseline's error: 11 standard deviations of the quantisation and more, on pitch.
     largest = max(before.train.axes[1], before.held_out.axes[1])
-    assert changes["rotor_lag"] == pytest.approx(largest / 12.0**0.5, rel=0.1)
+    assert changes["rotor_lag"].change_counts == pytest.approx(largest / 12.0**0.5, rel=0.1)
     # A model compared with itself changes nothing.
-    same = prediction_changes(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, after, after)
-    assert same == {"rotor_lag": 0.0}
+    same = influences(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, after, after)
+    assert same == {"rotor_lag": Influence(0.0, ())}
+    assert not same["rotor_lag"].matters
 
 
 def test_cause_matters_if_only_the_held_out_flights_are_predicted_worse_without_it() -> None:
@@ -287,21 +299,34 @@ def test_cause_matters_if_only_the_held_out_flights_are_predicted_worse_without_
     extended, after = diagnosis.assessment.extended, diagnosis.assessment.after
     axes = np.sqrt(after.held_out.axes**2 + 12.0 * np.array([0.0, 0.0, 0.3**2]))
     worse = replace(after, held_out=replace(after.held_out, axes=axes))
-    changes = prediction_changes(_NO_REFIT, diagnosis.search, extended, worse, after)
-    assert changes["rotor_lag"] == pytest.approx(0.3)
+    changes = influences(_NO_REFIT, diagnosis.search, extended, worse, after)
+    assert changes["rotor_lag"].change_counts == pytest.approx(0.3)
     # A model that predicts these flights better without the cause adds no error.
-    changes = prediction_changes(_NO_REFIT, diagnosis.search, extended, after, worse)
-    assert changes["rotor_lag"] == 0.0
+    changes = influences(_NO_REFIT, diagnosis.search, extended, after, worse)
+    assert changes["rotor_lag"].change_counts == 0.0
+
+
+def test_cause_matters_if_a_number_of_the_rig_leaves_its_prior_without_it() -> None:
+    diagnosis = diagnosed("rotor_lag=0.06")
+    extended, after = diagnosis.assessment.extended, diagnosis.assessment.after
+    free = after.fit.problem.free
+    index = [parameter.name for parameter in free].index("L_theta")
+    theta = after.fit.theta.copy()
+    theta[index] = free[index].prior.mean + 4.1 * free[index].prior.std
+    elsewhere = replace(after, fit=replace(after.fit, theta=theta))
+    without_lag = influences(_NO_REFIT, diagnosis.search, extended, elsewhere, after)["rotor_lag"]
+    assert Influence(0.0, without_lag.conflicts).matters
+    assert [conflict.name for conflict in without_lag.conflicts] == ["L_theta"]
+    instead = replace(diagnosis.assessment, instead={"rotor_lag": without_lag.conflicts})
+    (caution,) = (line for line in cautions(replace(diagnosis, assessment=instead)) if "L_theta" in line)
+    assert "L_theta = 0.0341 m (rig file: 0.03 \N{PLUS-MINUS SIGN} 0.001 m)" in caution
 
 
 def test_every_significant_cause_matters_under_disturbances() -> None:
     diagnosis = diagnosed("rotor_lag=0.06")
     before, after = diagnosis.assessment.before, diagnosis.assessment.after
     disturbed = replace(after, train=replace(after.train, total=1.01 * DISTURBED_STD))
-    assert (
-        prediction_changes(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, before, disturbed)
-        == {}
-    )
+    assert influences(_NO_REFIT, diagnosis.search, diagnosis.assessment.extended, before, disturbed) == {}
 
 
 def test_effect_that_is_too_small_is_listed_and_is_no_cause() -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,7 +29,13 @@ from heli_lab.explain.residuals import ResidualAnalysis, residual_analysis
 from heli_lab.explain.screening import Screening, coefficient_std, score_of
 from heli_lab.explain.stepwise import Search, held_out_screening
 from heli_lab.explain.thresholds import DISTURBED_STD, MATTERS_COUNTS, MATTERS_NATS_PER_ROW, MIN_MARGIN
-from heli_lab.explain.verdict import Verdict, describe_negligible_effects, judge
+from heli_lab.explain.verdict import (
+    PriorConflict,
+    Verdict,
+    describe_negligible_effects,
+    judge,
+    prior_conflicts,
+)
 from heli_lab.fit.flight_model import GAINS
 from heli_lab.fit.problem import Fit
 from heli_lab.fit.records import Record
@@ -103,10 +109,23 @@ def absence_probability(value: float, std: float) -> float:
     return min(thresholds.MAX_CONFIDENCE, absent_weight / max(absent_weight + present_weight, 1e-300))
 
 
-def prediction_changes(
+class Influence(NamedTuple):
+    """What changes if a cause is left out of the model, and everything else is refitted."""
+
+    change_counts: float  # Root mean square change of the 2 s open-loop prediction, encoder counts
+    conflicts: tuple[PriorConflict, ...]
+    """Parameters of the rig that then leave their priors, because they stand in for the cause."""
+
+    @property
+    def matters(self) -> bool:
+        """Whether the prediction or the rig's own parameters need the cause."""
+        return self.change_counts >= MATTERS_COUNTS or bool(self.conflicts)
+
+
+def influences(
     comparison: ModelComparison, search: Search, extended: Hypothesis, before: Prediction, after: Prediction
-) -> Mapping[str, float]:
-    """Compute by how much each cause changes the 2 s open-loop prediction.
+) -> Mapping[str, Influence]:
+    """Compute what changes without each cause.
 
     The model with all causes is compared with the refitted model without the cause, on the axis where they
     differ most. The change is the root mean square difference of their predictions on the fitted flights. If
@@ -115,7 +134,8 @@ def prediction_changes(
     if not extended.candidates or after.train.total > DISTURBED_STD:
         return {}
     samples_with_all = normalised_samples(after.fit)
-    changes = {}
+    present_conflicts = {conflict.name for conflict in prior_conflicts(after.fit)}
+    result = {}
     evidence = {cause.effect: cause.train for cause in search.causes}
     for candidate in extended.candidates:
         if len(extended.candidates) > 1 and (evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows):
@@ -131,8 +151,12 @@ def prediction_changes(
         )
         difference = samples_with_all - normalised_samples(reduced.fit)
         added_error = np.maximum(reduced.held_out.axes**2 - after.held_out.axes**2, 0.0)
-        changes[candidate.id] = max(map(_largest_counts, (np.mean(difference**2, axis=0), added_error)))
-    return changes
+        change_counts = max(map(_largest_counts, (np.mean(difference**2, axis=0), added_error)))
+        conflicts = tuple(
+            conflict for conflict in prior_conflicts(reduced.fit) if conflict.name not in present_conflicts
+        )
+        result[candidate.id] = Influence(change_counts, conflicts)
+    return result
 
 
 def spline_change(
@@ -140,7 +164,7 @@ def spline_change(
 ) -> float:
     """Compute by how much the spline terms of a search change the 2 s open-loop prediction, encoder counts.
 
-    The final model is compared with the `extended` model, which lacks only them, as `prediction_changes`
+    The final model is compared with the `extended` model, which lacks only them, as `influences`
     does; `after` is the prediction of the latter. Infinite without spline terms.
     """
     if extended is search.final or after.train.total > DISTURBED_STD:
@@ -172,6 +196,9 @@ class Assessment:
     after: Prediction
     absent_terms: tuple[AbsentTerm, ...]  # Terms of the baseline whose parameters the fit estimated as zero
     verdict: Verdict  # The verdict and its causes
+    instead: Mapping[str, tuple[PriorConflict, ...]] = field(default_factory=dict)
+    """By cause: parameters of the rig that predict the flights as well without it, at values that conflict
+    with the rig file. Such a cause is as certain as the rig file."""
 
 
 def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]) -> Assessment:
@@ -185,9 +212,16 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     before = predict(search.baseline.estimate, train, held_out)
     after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
     absent = absent_terms(after.fit, comparison.rig, kinds)
-    changes = prediction_changes(comparison, search, extended, before, after)
+    influence = influences(comparison, search, extended, before, after)
     spline_counts = spline_change(comparison, search, extended, after)
-    negligible_changes = {id_: counts for id_, counts in changes.items() if counts < MATTERS_COUNTS}
+    negligible_changes = {
+        id_: without_it.change_counts for id_, without_it in influence.items() if not without_it.matters
+    }
+    instead = {
+        id_: without_it.conflicts
+        for id_, without_it in influence.items()
+        if without_it.matters and without_it.change_counts < MATTERS_COUNTS
+    }
     negligible = describe_negligible_effects(search, negligible_changes, kinds, after.fit)
     if negligible:
         # The extended model has only the effects that matter.
@@ -195,7 +229,7 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
         after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
         absent = absent_terms(after.fit, comparison.rig, kinds)
     verdict = judge(search, residual, after, kinds, bool(absent), negligible, spline_counts)
-    return Assessment(residual, extended, before, after, absent, verdict)
+    return Assessment(residual, extended, before, after, absent, verdict, instead)
 
 
 def without_splines(comparison: ModelComparison, search: Search) -> Hypothesis:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -344,6 +344,11 @@ def cautions(result: Diagnosis) -> list[str]:
         prior_conflict_sentence(conflict, meanings.get(conflict.name, ""))
         for conflict in result.prior_conflicts
     ]
+    lines += [
+        f"without {cause}, a model with {numbers_of(conflicts)} predicts these flights as well: measure what "
+        f"the rig file states there; if it is wrong, nothing shows {cause}"
+        for cause, conflicts in result.assessment.instead.items()
+    ]
     if not result.has_converged_estimate:
         lines.append(
             "the estimate of the final model did not converge, as may happen with an axis that sticks: its "
@@ -354,6 +359,20 @@ def cautions(result: Diagnosis) -> list[str]:
     if not result.search.complete:
         lines.append("the limit of refits ended the search before everything was tried; raise --budget")
     return lines
+
+
+def numbers_of(conflicts: Iterable[PriorConflict]) -> str:
+    """State estimates of parameters, each with its prior."""
+    return " and ".join(
+        f"{conflict.name} = {conflict.value:.3g}{_unit(conflict)} (rig file: {conflict.prior.mean:.3g} "
+        f"\N{PLUS-MINUS SIGN} {conflict.prior.std:.2g}{_unit(conflict)})"
+        for conflict in conflicts
+    )
+
+
+def _unit(conflict: PriorConflict) -> str:
+    """Return the unit of a parameter as text that follows its value."""
+    return "" if conflict.unit == "1" else f" {conflict.unit}"
 
 
 def slow_log_cautions(result: Diagnosis | InsufficientExcitation) -> list[str]:
@@ -396,8 +415,7 @@ def extrapolation_sentence(flight: Extrapolation) -> str:
 
 def prior_conflict_sentence(conflict: PriorConflict, meaning: str = "") -> str:
     """Describe a `conflict` of a parameter with this `meaning` in a sentence without its full stop."""
-    unit = "" if conflict.unit == "1" else f" {conflict.unit}"
-    prior = conflict.prior
+    unit, prior = _unit(conflict), conflict.prior
     meaning_text = f" ({meaning})" if meaning else ""
     text = (
         f"the parameter {conflict.name}{meaning_text} is estimated as {conflict.value:.3g}{unit}, "
