@@ -423,6 +423,7 @@ class Screening:
         self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
+        is_prior_of_rig = prior is None
         self.measurements = sum(len(flight) for flight in innovations.flights)
         if prior is None:
             prior = NormalDistribution(parameter_vector.mean, np.diag(parameter_vector.std**-2.0))
@@ -431,6 +432,13 @@ class Screening:
         prior_score = prior.precision @ (estimate.theta - prior.mean)
         # Whitened innovations of each flight after a Gauss-Newton step of the free parameters, (m,).
         self._error = innovations.after(self._solve(innovations.score() - prior_score))
+        # Score of the free parameters that priors hold back without being evidence for candidates, (f,).
+        self._held_back = np.zeros(innovations.size)
+        if not is_prior_of_rig:
+            for flight, columns, error in zip(
+                innovations.flights, innovations.columns, self._error, strict=True
+            ):
+                self._held_back[columns] += flight[:, 1:].T @ error
 
     def release(self) -> None:
         """Free the memory of cached signals, 0.2 GB for ten minutes of flight.
@@ -493,9 +501,10 @@ class Screening:
 
         The free parameters are projected out (partitioned regression, Frisch-Waugh): with X the regressors
         of a candidate and Z those of the free parameters, the information is X'X - X'Z (Z'Z)^-1 Z'X.
-        The score needs no projection: after the step of the free parameters, their own score and the pull of
-        their priors cancel. What the priors hold back is evidence, too. Without it, a spring of elevation
-        that raises L_theta by 10 standard deviations of its prior was not worth a refit (2026-11).
+        The priors of the rig are evidence: what they hold back counts for a candidate. Without it, a spring
+        of elevation that raises L_theta by 10 standard deviations of its prior was not worth a refit
+        (2026-11). The estimate of other flights is no such evidence, because its covariance is of first
+        order: on a flight after a hover, a right model then had a missing effect of 15 nats (2026-11).
         """
         candidate_columns = [
             slice(stop - size, stop) for size, stop in zip(sizes, np.cumsum(sizes), strict=True)
@@ -514,6 +523,7 @@ class Screening:
                 candidate_regressors = flight_regressors[:, columns]
                 information_by_candidate[number] += candidate_regressors.T @ candidate_regressors
         projection = self._solve(cross_information)  # (Z'Z)^-1 Z'X
+        score -= projection.T @ self._held_back
         statistics = []
         for information, columns in zip(information_by_candidate, candidate_columns, strict=True):
             projected = information - cross_information[:, columns].T @ projection[:, columns]
