@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +100,15 @@ def columns_of(guess: Guess) -> dict[str, str]:
 
 def subjects(guess: Guess) -> set[str]:
     return {ambiguity.subject for ambiguity in guess.ambiguities}
+
+
+@pytest.mark.medium
+def test_a_pitch_far_from_level_in_flight_has_a_doubtful_zero() -> None:
+    table = flight_table()
+    assert "pitch's zero" not in subjects(proposed(table))
+    raised = replace(table.columns["pitch"], values=table.columns["pitch"].values + math.radians(40.0))
+    tilted = replace(table, columns={**table.columns, "pitch": raised})
+    assert "pitch's zero" in subjects(proposed(tilted))
 
 
 @pytest.mark.medium

@@ -24,7 +24,7 @@ from heli_lab.setup.guess.motion import (
 from heli_lab.setup.guess.names import AXES
 from heli_lab.setup.guess.result import NOTHING_KNOWN, read_known
 from heli_lab.setup.guess.signs import SignChanges, fewest_sign_changes, prefers_mirror, travel_torque_nats
-from heli_lab.setup.guess.units import limited, one_way_nats
+from heli_lab.setup.guess.units import RestElevation, elevation_zero, limited, one_way_nats
 from heli_sim.rig import Rig, load_rig
 
 from tests.guess.test_columns import REFERENCE, flight_table
@@ -54,6 +54,13 @@ def test_a_short_delay_of_elevation_is_doubted_if_the_motion_excludes_the_lag_of
     assert subjects(fits(0.18, (0.04, 0.30))) == []
     assert subjects(fits(0.16, (0.14, 0.18))) == []
     assert subjects(fits(0.02, (0.0, 0.04))) == []
+
+
+def test_a_flight_that_stays_near_its_beginning_has_a_doubtful_zero() -> None:
+    low = RestElevation(deg=-1.5, median_deg=5.0, begins_lowest=True)
+    (ambiguity,) = elevation_zero(low, REVERSING)[1]
+    assert ambiguity.subject == "the elevation's zero"
+    assert elevation_zero(replace(low, median_deg=22.0), REVERSING) == (pytest.approx(-23.5), [])
 
 
 def test_a_doubt_of_a_weakly_excited_elevation_names_the_possible_delays() -> None:

@@ -94,6 +94,13 @@ def test_rows_above_a_repeated_header_are_rows(tmp_path: Path) -> None:
     assert_same_columns(read_table(path))
 
 
+def test_quoted_decimal_commas_in_a_table_with_commas(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    body = [f'"{line.replace(";", chr(34) + "," + chr(34))}"' for line in rows(";", ",").splitlines()]
+    path.write_text("\n".join(['"t","x","y"', *body]))
+    assert_same_columns(read_table(path))
+
+
 def test_cells_with_their_units(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(

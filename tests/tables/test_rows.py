@@ -230,6 +230,15 @@ def test_angles_that_stand_still_while_the_others_go_on_are_left_out(
     assert "stand still" in change.reason
 
 
+def test_values_without_their_sign_are_left_out(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    damaged_rows = np.flatnonzero(np.isin(np.arange(N) % 90, (40, 71)) & (VALUES[:, 2] < -2.0))
+    values[damaged_rows, 2] *= -1.0
+    (left_out, filled) = converted(tmp_path, lines(T_S, values)).changes
+    assert (left_out.rows, filled.action) == (damaged_rows.size, "filled")
+    assert "'elevation [deg]' that jumps and returns" in left_out.reason
+
+
 def test_an_arm_that_rests_on_its_table_is_no_failed_link(tmp_path: Path) -> None:
     flown_s = np.clip(T_S - 3.0, 0.0, None)
     volts = np.where(T_S < 3.0, 1.0, 7.0 + np.sin(5.0 * T_S))

@@ -13,7 +13,7 @@ import numpy as np
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.data.tables.profile import MOTORS, Angle, Part, Profile, Voltage
-from heli_host.data.tables.rows import equal_runs, runs_of, settle_blank_cells, timed_rows
+from heli_host.data.tables.rows import equal_runs, runs_of, settle_blank_cells, spikes, timed_rows
 from heli_host.data.tables.table import COUNT, SHARES, VOLTAGE_UNITS, RowChange, Table, split_unit
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
@@ -183,17 +183,17 @@ def _without_spikes(table: Table, t_s: Floats, profile: Profile) -> tuple[Table,
     for angle in profile.angles.values():
         angle_rad = angle.rad * table.columns[angle.column].values
         turn_rad = WORD * angle.rad if angle.unit == COUNT else 2.0 * np.pi
-        spikes = _spikes(angle_rad, t_s, turn_rad)
-        if spikes.any():
+        is_away = _far_spikes(angle_rad, t_s, turn_rad) | spikes(angle_rad)
+        if is_away.any():
             names.append(angle.column)
-        is_spike |= spikes
+        is_spike |= is_away
     for voltage in profile.voltages.values():
         size = np.abs(table.columns[voltage.column].values)
-        spikes = size > _SPIKE_RATIO * max(float(np.quantile(size, 0.99)), 1e-12)
-        spikes &= ~(np.roll(spikes, 1) & np.roll(spikes, -1))
-        if spikes.any():
+        is_away = size > _SPIKE_RATIO * max(float(np.quantile(size, 0.99)), 1e-12)
+        is_away &= ~(np.roll(is_away, 1) & np.roll(is_away, -1))
+        if is_away.any():
             names.append(voltage.column)
-        is_spike |= spikes
+        is_spike |= is_away
     if not is_spike.any():
         return table, t_s
     first_s = float(t_s[int(np.argmax(is_spike))])
@@ -206,7 +206,7 @@ def _without_spikes(table: Table, t_s: Floats, profile: Profile) -> tuple[Table,
     return table.selected(kept, [change]), t_s[kept]
 
 
-def _spikes(angle_rad: Floats, t_s: Floats, turn_rad: float) -> Booleans:
+def _far_spikes(angle_rad: Floats, t_s: Floats, turn_rad: float) -> Booleans:
     """Mark single rows, or two in a row, at which an angle jumps away and back. Shapes: `t_s` (n,); returns
     (n,).
     """

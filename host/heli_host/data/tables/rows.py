@@ -47,6 +47,11 @@ _MAX_CONFLICTS: Final = 0.02
 """Largest share of rows that share a time by damage. Damaged lines are rarer in logs that people use."""
 _COPY_SHARE: Final = 0.9
 """Share of the rows with a repeated time that equal the row before, from which they are copies of it."""
+_SPIKE_STEPS: Final = 8.0
+"""Step to and from a spike, as a multiple of the 95 % quantile of all steps: damage of 2 % of the rows makes
+4 % of the steps large. Measured columns have up to 4 times their 99 % quantile."""
+_MAX_SPIKES: Final = 0.02
+"""Largest share of spikes; a column with more is a signal that switches."""
 _NEAR_ROWS: Final = 8
 """Rows before and after a pair in which the rig has to move for the pair to count as evidence."""
 
@@ -555,6 +560,20 @@ def equal_runs(t_s: Floats, values: Floats) -> list[tuple[int, int]]:
     """
     equal = (values[1:] == values[:-1]).all(axis=1) & (np.diff(t_s) > 0.0)
     return [(start, stop + 1) for start, stop in runs_of(equal)]
+
+
+def spikes(values: Floats) -> Booleans:
+    """Mark single values that jump away from their neighbours and back, as damaged digits do. Shape: (n,)."""
+    result = np.zeros(values.size, bool)
+    if values.size < _MIN_TIMES:
+        return result
+    steps = np.abs(np.diff(values))
+    typical = float(np.quantile(steps, 0.95))
+    is_spike = np.minimum(steps[:-1], steps[1:]) > _SPIKE_STEPS * typical
+    is_spike &= np.abs(values[2:] - values[:-2]) <= 3.0 * typical
+    if typical > 0.0 and is_spike.sum() < _MAX_SPIKES * values.size:
+        result[1:-1] = is_spike
+    return result
 
 
 def runs_of(mask: Booleans) -> list[tuple[int, int]]:

@@ -158,7 +158,15 @@ def _rows_before_trailing_zeros(columns: list[Floats]) -> int:
     return last if len(columns) > 1 and last else length
 
 
-ANGLE_UNITS: Final = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "turn": 2.0 * math.pi}
+_DEG: Final = math.pi / 180.0
+ANGLE_UNITS: Final = {
+    "rad": 1.0,
+    "mrad": 1e-3,
+    "deg": _DEG,
+    "cdeg": 1e-2 * _DEG,
+    "mdeg": 1e-3 * _DEG,
+    "turn": 2.0 * math.pi,
+}
 """Radians in one of each; a count depends on the encoder."""
 TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 """Seconds in one of each."""
@@ -172,6 +180,8 @@ _SPELLINGS: Final = {
     "rad": ("rad", "radian", "radians"),
     "mrad": ("mrad",),
     "deg": ("deg", "degs", "degree", "degrees", "°", "grad", "grader", "º"),
+    "cdeg": ("cdeg", "centideg", "centidegrees", "0.01deg", "0.01 deg"),
+    "mdeg": ("mdeg", "millideg", "millidegrees"),
     "turn": ("turn", "turns", "rev", "revs", "revolution", "revolutions"),
     "count": ("count", "counts", "cnt", "cnts", "ticks", "tick", "pulses", "steps", "enc", "lsb"),
     "s": ("s", "sec", "secs", "second", "seconds"),
@@ -200,7 +210,20 @@ _SLASH: Final = re.compile(r"^(.*\S)\s+(?:/|in)\s*(\S+)\s*$")
 _TAIL: Final = re.compile(r"^(.*[^_\s])[_\s]([^_\s]+)$")
 _BARE_TAILS: Final = frozenset(
     {
-        *("rad", "mrad", "deg", "degrees", "radians", "turns", "count", "counts", "cnt", "ticks"),
+        *(
+            "rad",
+            "mrad",
+            "deg",
+            "cdeg",
+            "mdeg",
+            "degrees",
+            "radians",
+            "turns",
+            "count",
+            "counts",
+            "cnt",
+            "ticks",
+        ),
         *("sec", "°", "%", "ms", "us", "ns", "volt", "volts", "mv", "duty", "pct", "percent", "pwm"),
     }
 )

@@ -166,9 +166,10 @@ def read_text(path: Path) -> Table:
 
 def _without_reception_times(lines: list[str]) -> tuple[list[str], list[str]]:
     """Return the lines of a serial monitor without the times before them, and these times; empty if none."""
-    matches = [_RECEIVED.match(line) for line in lines]
-    if sum(match is not None for match in matches) < _LABEL_SHARE * len(lines):
+    sampled = [_RECEIVED.match(line) for line in lines[:: max(1, len(lines) // _LOOKED_AT)]]
+    if sum(match is not None for match in sampled) < _LABEL_SHARE * len(sampled):
         return lines, []
+    matches = [_RECEIVED.match(line) for line in lines]
     rests = [match.group(2) if match else line for line, match in zip(lines, matches, strict=True)]
     return rests, [match.group(1) if match else "" for match in matches]
 
@@ -178,11 +179,12 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
 
     A line with other names than most lines is damaged, and becomes a row with one cell.
     """
-    matches = [list(_NAMED_VALUE.finditer(line)) for line in lines]
-    names_of_lines = [tuple(match["name"].strip() for match in line) for line in matches]
-    names = statistics.mode(names_of_lines)
-    if len(names) < _MIN_NAMED or names_of_lines.count(names) < _MIN_NAMED_SHARE * len(lines):
+    sampled = [_names_in_row(line) for line in lines[:: max(1, len(lines) // _LOOKED_AT)]]
+    names = statistics.mode(sampled)
+    if len(names) < _MIN_NAMED or sampled.count(names) < _MIN_NAMED_SHARE * len(sampled):
         return lines
+    matches = [list(_NAMED_VALUE.finditer(line)) for line in lines]
+    names_of_lines = [_names_in_row(line) for line in lines]
     typical = matches[names_of_lines.index(names)]
     units = [f" [{match['unit']}]" if match["unit"] else "" for match in typical]
     prefixes = [line[: row[0].start()] if row else line for line, row in zip(lines, matches, strict=True)]
@@ -196,6 +198,11 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
             cells.append(stamp.group().replace(",", ".") if stamp else "")
         rows.append("\t".join(cells) if line_names == names else line.replace("\t", " "))
     return rows
+
+
+def _names_in_row(line: str) -> tuple[str, ...]:
+    """Return the names in front of the values of a line."""
+    return tuple(match["name"].strip() for match in _NAMED_VALUE.finditer(line))
 
 
 def _whole_rows(
@@ -335,7 +342,7 @@ def find_dialect(lines: list[str]) -> Dialect | None:
     """Find the dialect in which most cells of `lines` are numbers; None if lines have less than two cells."""
     best_dialect, best_rank = None, (0.0, 0)
     for separator, decimal in itertools.product(_SEPARATORS, ".,"):
-        if separator == decimal:
+        if separator == decimal and not all('"' in line for line in lines[-_LOOKED_AT // 2 :]):
             continue
         dialect = Dialect(separator, decimal)
         cells = [_split_cells(line, dialect) for line in lines]

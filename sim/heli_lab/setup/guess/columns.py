@@ -95,6 +95,7 @@ class PreparedFile:
     clock: Clock  # Time column of the file
     signals: Signals  # All other columns of the file, at even times
     encoders: frozenset[str]  # Columns that are quantised by an encoder of the rig
+    begins: bool  # Whether this part is the beginning of the file
 
 
 def prepare_file(
@@ -111,12 +112,14 @@ def prepare_file(
         # A conversion of these rows must not repair their times again.
         table = replace(timed.table, columns={**timed.table.columns, clock.column: times}, changes=())
         t_s = t_s - t_s[0]
+    first_s = t_s[0]
     table, t_s = longest_run(table, t_s)
+    begins = bool(t_s[0] == first_s)
     others = [name for name in table.columns if name != clock.column and not is_time(name)]
     table = without_spikes(table, others)
     signals = column_signals(table, t_s, others, reference.counts.values())
     encoders = frozenset(name for name in others if _is_encoder(table.columns[name].values, reference))
-    return PreparedFile(table, clock, signals, encoders)
+    return PreparedFile(table, clock, signals, encoders, begins)
 
 
 def with_directions(table: Table) -> tuple[Table, dict[str, str]]:

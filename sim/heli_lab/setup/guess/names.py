@@ -74,7 +74,7 @@ _OTHER_QUANTITIES: Final = {
     "an integral": ("integral", "int"),
     "a feed-forward": ("ff", "feedforward", "vorsteuerung", "foroverkobling"),
     "a current": (
-        *("current", "curr", "amps", "ampere", "i", "if", "ib", "ih", "isense"),
+        *("current", "curr", "amps", "ampere", "i", "if", "ib", "ih", "im", "isense"),
         *("strom", "motorstrom", "courant", "corriente"),
     ),
     A_SUPPLY: (

@@ -65,6 +65,8 @@ _CANDIDATE_MARGIN_NATS: Final = 25.0
 """Assignments of columns within this margin of the most likely one are compared by their units, too [nats].
 An assignment without plausible units loses about this much. A higher value takes longer, a lower one neglects
 the units."""
+_MAX_TRIM_DEG: Final = 15.0
+"""Median pitch of a flight above which its zero is in doubt [deg]. Constant torques of rigs need up to 8."""
 _MAX_CANDIDATES: Final = 12
 """Largest number of assignments whose units are compared."""
 _AMBIGUOUS_ERROR_RATIO: Final = 1.15
@@ -230,7 +232,7 @@ def propose(
     # Zero of the elevation, from the rest on the table, and delays between columns.
     offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
     timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
-    ambiguities += zero_ambiguities + timing_ambiguities
+    ambiguities += zero_ambiguities + flights.pitch_trim(signs) + timing_ambiguities
     profile = known.applied(
         Profile(
             _angle_entries(assignment, scale, signs, reference, offset_deg),
@@ -360,8 +362,29 @@ class _FlightsInUnits:
         """
         rad = self.scale.rad(self.reference)
         deg_per_unit = {axis: math.degrees(getattr(signs, axis) * rad[axis]) for axis in AXES}
-        rests = [rest_elevation(file.signals, self.assignment.columns, deg_per_unit) for file in self.files]
+        rests = [
+            replace(rest, deg=rest.deg if file.begins else None)
+            for file in self.files
+            for rest in [rest_elevation(file.signals, self.assignment.columns, deg_per_unit)]
+        ]
         return next((rest for rest in rests if rest.deg is not None and rest.begins_lowest), rests[0])
+
+    def pitch_trim(self, signs: SignChanges) -> list[Ambiguity]:
+        """Report if the pitch in flight is farther from 0 than a trim against a constant torque can be."""
+        deg_per_unit = math.degrees(signs.pitch * self.scale.rad(self.reference)["pitch"])
+        column = self.assignment.columns["pitch"]
+        medians_deg = [deg_per_unit * float(np.median(file.signals.raw[column])) for file in self.files]
+        median_deg = float(np.median(medians_deg)) - 360.0 * round(float(np.median(medians_deg)) / 360.0)
+        if abs(median_deg) < _MAX_TRIM_DEG:
+            return []
+        return [
+            Ambiguity(
+                "pitch's zero",
+                f"0 as it is, with {median_deg:.0f} deg in flight",
+                f"{-median_deg:.0f} deg to add",
+                "an arm that pitches so far accelerates in travel; measure the pitch with a level body",
+            )
+        ]
 
 
 def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> list[Guess]:

@@ -37,6 +37,7 @@ _ENTRIES: Final = {
     "the time": "time.column",
     "which rotor is the front one": "mirrored",
     "the elevation's zero": "elevation.offset_deg",
+    "pitch's zero": "pitch.offset_deg",
     "the sum's bias": "sum.offset_V",
     "the voltages' limit": "voltages.clip_V",
     "the voltages' lower limit": "voltages.clip_V",

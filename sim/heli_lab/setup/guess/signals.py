@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.tables import Column, Table
-from heli_host.data.tables.rows import longest_rise
+from heli_host.data.tables.rows import longest_rise, spikes
 from heli_host.data.tables.table import TIME_UNITS, split_unit
 from numpy.typing import NDArray
 
@@ -43,11 +43,6 @@ _JUMP_STEPS: Final = 15.0
 have up to 15, when a setpoint moves. Lower values cut flights there, higher ones miss jumps of slow logs."""
 _JUMP_SHARE: Final = 0.03
 """Smallest jump as a share of the column's range. Smaller ones are left to the conversion, in degrees."""
-_SPIKE_STEPS: Final = 8.0
-"""Step to and from a spike, as a multiple of the 99 % quantile of all steps. Measured columns have up to
-4."""
-_MAX_SPIKES: Final = 0.02
-"""Largest share of spikes; a column with more is a signal that switches."""
 _MIN_ROWS: Final = 100
 _MAX_JUMPS: Final = 3
 """Columns with more jumps are not angles: voltages that a controller switches jump all the time."""
@@ -172,6 +167,8 @@ def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
     if not names.is_time(name) and names.meaning_of(name, header_unit).quantity == names.A_COUNTER:
         return Clock(name, "", False, f"'{name}' counts the rows")
     may_count_rows = abs(step - 1.0) < 1e-6
+    if may_count_rows and not names.is_time(name):
+        return Clock(name, "", False, f"'{name}' rises by 1 from row to row, as a counter of rows")
     if may_count_rows and not (names.is_time(name) and possible_units):
         return Clock(name, possible_units[0] if possible_units else "ms", False, "it may count rows")
     if not possible_units:
@@ -189,14 +186,10 @@ def without_spikes(table: Table, columns: Collection[str]) -> Table:
         known = np.flatnonzero(np.isfinite(values))
         if known.size < _MIN_ROWS:
             continue
-        inner = values[known]
-        steps = np.abs(np.diff(inner))
-        typical = float(np.quantile(steps, 0.99))
-        is_spike = (steps[:-1] > _SPIKE_STEPS * typical) & (steps[1:] > _SPIKE_STEPS * typical)
-        is_spike &= np.abs(inner[2:] - inner[:-2]) <= 3.0 * typical
-        if typical > 0.0 and 0 < is_spike.sum() < _MAX_SPIKES * inner.size:
+        is_spike = spikes(values[known])
+        if is_spike.any():
             blanked = values.copy()
-            blanked[known[1:-1][is_spike]] = np.nan
+            blanked[known[is_spike]] = np.nan
             repaired[name] = replace(table.columns[name], values=blanked)
     return replace(table, columns=repaired)
 

@@ -30,7 +30,7 @@ from heli_lab.setup.guess.names import A_SUPPLY, AXES, is_half, meanings_of
 from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity
 from heli_lab.setup.guess.signals import SAMPLE_STEP_s, Signals, quantisation_step
 
-_ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad")
+_ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad", "cdeg", "mdeg")
 _VOLTAGE_UNITS: Final = ("V", "mV", "duty", "percent", "pwm")
 _FULL_SCALES: Final = (255.0, 1023.0, 4095.0)
 _RARE_UNIT_NATS: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0, "duty": 1.0}
@@ -77,6 +77,9 @@ on the table. Rest and level differ by some 25 deg, so values up to 20 distingui
 _LOWEST_deg: Final = 3.0
 """Largest elevation above the lowest of a flight [deg] that still counts as the lowest. Flights are some
 25 deg above their rest, so values up to 20 distinguish them."""
+_MIN_CLIMB: Final = 0.5
+"""Smallest climb from the table to the median of a flight, as a share of the table's depth below level. Most
+pilots fly near level; a smaller climb may be one from a turning point in flight."""
 _CLIP_SHARE: Final = 1.02
 """Share of the supply from which on a voltage is a command before saturation. Rounding stays below it."""
 _CLIPPED_SHARES: Final = (0.002, 0.5)
@@ -461,6 +464,16 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
                 f"0 as it is, with {rest.median_deg:.0f} deg in flight",
                 f"0 at rest, so {table_deg:g} deg to add",
                 "the flight does not begin at rest; start logging while the arm is on the table",
+            )
+        ]
+    if rest.median_deg - rest.deg < _MIN_CLIMB * abs(table_deg):
+        return 0.0, [
+            Ambiguity(
+                "the elevation's zero",
+                f"as it is, at the beginning {rest.deg:.1f} deg",
+                f"{table_deg - rest.deg:.1f} deg to add, so that it begins at {table_deg:g} deg",
+                f"the flight is only {rest.median_deg - rest.deg:.0f} deg above its beginning, which may be "
+                "the table or the air; measure the angle at rest",
             )
         ]
     zero_at_level = abs(rest.deg - table_deg) < tolerance_deg
