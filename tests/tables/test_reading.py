@@ -138,13 +138,23 @@ def test_a_header_with_too_few_names_is_refused_with_both_numbers(tmp_path: Path
         read_table(path)
 
 
-def test_decimal_commas_of_a_clock_in_a_table_with_commas(tmp_path: Path) -> None:
+@pytest.mark.parametrize("header", [["t,x,y"], []], ids=["names", "no names"])
+def test_decimal_commas_of_a_clock_in_a_table_with_commas(header: list[str], tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     cells = [f"{s.replace('.', ',')},{x},{y}" for s, x, y in zip(STAMPS, X, Y, strict=True)]
-    path.write_text("\n".join(["t,x,y", *cells]))
+    path.write_text("\n".join([*header, *cells]))
     table = read_table(path)
-    assert_same_columns(table)
-    assert table.columns["t"].values == pytest.approx(T_S)
+    assert_same_columns(table, *(["x", "y"] if header else ["column 2", "column 3"]))
+    assert next(iter(table.columns.values())).values == pytest.approx(T_S)
+
+
+def test_labels_with_accents_in_a_matlab_file_of_python(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    path = tmp_path / "a.mat"
+    signals = [{"values": v[:, None], "label": name} for name, v in (("Winkel°", X), ("Nick", Y))]
+    savemat(path, {"scope": {"time": T_S[:, None], "signals": signals}})
+    assert_same_columns(read_table(path), "Winkel°", "Nick")
 
 
 CLOCKS = [

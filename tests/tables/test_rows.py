@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_host.data.tables import Angle, Conversion, Profile, Voltage, convert, read_table
+from heli_host.data.tables import Angle, Column, Conversion, Profile, Table, Voltage, convert, read_table
+from heli_host.data.tables.rows import timed_rows
 from heli_host.errors import FlightDataError
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -237,6 +238,36 @@ def test_values_without_their_sign_are_left_out(tmp_path: Path) -> None:
     (left_out, filled) = converted(tmp_path, lines(T_S, values)).changes
     assert (left_out.rows, filled.action) == (damaged_rows.size, "filled")
     assert "'elevation [deg]' that jumps and returns" in left_out.reason
+
+
+def test_angles_that_stand_still_near_the_lowest_elevation_are_left_out(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    lowest = int(np.argmin(values[:, 2]))
+    values[lowest : lowest + 150, 2:] = values[lowest, 2:]
+    (change,) = converted(tmp_path, lines(T_S, values)).changes
+    assert (change.action, change.rows) == ("left out", 149)
+
+
+@pytest.mark.parametrize("kind", ["32 bits us", "face of a minute"])
+def test_lines_with_an_unreadable_cell_leave_the_clock_alone(kind: str, tmp_path: Path) -> None:
+    times, unit = CLOCKS[kind]
+    rows = lines(times)
+    for row in range(700, 300, -100):
+        # A damaged line of another moment.
+        rows.insert(row, rows[row + 400].rsplit(",", 1)[0] + ",ERR")
+    conversion = converted(tmp_path, rows, unit)
+    (flight,) = conversion.flights
+    assert (len(flight), conversion.unexplained_rows) == (N, 0)
+    assert "without a number in 'travel [deg]' (first: row 401)" in conversion.changes[0].reason
+    assert worst_error(conversion) < 0.05
+
+
+def test_a_coarse_clock_hides_the_place_of_missing_rows(tmp_path: Path) -> None:
+    tenths = np.floor(10.0 * T_S) / 10.0
+    kept = np.ones(N, bool)
+    kept[503:506] = False
+    tables = [Table("a", {"t": Column(times)}) for times in (tenths, tenths[kept])]
+    assert [timed_rows(table, "t", "s").uncertain_s for table in tables] == [0.0, pytest.approx(0.03)]
 
 
 def test_an_arm_that_rests_on_its_table_is_no_failed_link(tmp_path: Path) -> None:

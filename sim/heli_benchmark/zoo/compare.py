@@ -52,10 +52,10 @@ def mistakes(flights: Sequence[ImportedFlight], truth: ImportTruth) -> list[str]
     """
     differences: list[str] = []
     spans: list[tuple[float, float]] = []
-    shift_s: float | None = None
+    shifts_s: list[float] = []
     for flight in sorted(flights, key=lambda flight: -flight.t_s.size):
-        shift_s = _shift(flight, truth, shift_s)
-        span, flight_mistakes = _flight_mistakes(flight, truth, shift_s)
+        shifts_s.append(_shift(flight, truth, shifts_s))
+        span, flight_mistakes = _flight_mistakes(flight, truth, shifts_s[-1])
         spans.append(span)
         differences += flight_mistakes
     covered_s = _union_s(spans)
@@ -182,10 +182,10 @@ def _last_value(samples: Samples, at_s: Floats) -> Floats:
     return np.asarray(samples.values[last])
 
 
-def _shift(flight: ImportedFlight, truth: ImportTruth, longer_s: float | None) -> float:
+def _shift(flight: ImportedFlight, truth: ImportTruth, longer_s: Sequence[float]) -> float:
     """Find the time of the truth minus that of an imported flight, by the motion of all angles.
 
-    The parts of a flight may have one clock, so the time of a longer part, `longer_s`, is preferred.
+    The parts of a flight may have one clock, so the times of longer parts, `longer_s`, are preferred.
     """
     true_s = truth.samples["pitch"].t_s
     rows = np.unique(np.linspace(0, flight.t_s.size - 1, min(flight.t_s.size, 500)).round().astype(int))
@@ -194,9 +194,10 @@ def _shift(flight: ImportedFlight, truth: ImportTruth, longer_s: float | None) -
         first_s, last_s = last_s, first_s
     coarse = np.arange(first_s, last_s + _SEARCH_STEP_S, _SEARCH_STEP_S)
     best = _best_shift(flight, truth, rows, coarse)
-    if longer_s is not None:
-        scores = _shift_scores(flight, truth, rows, np.array([best, longer_s]))
-        best = longer_s if scores[1] > _SAME_PLACE * scores[0] else best
+    if longer_s:
+        scores = _shift_scores(flight, truth, rows, np.array([best, *longer_s]))
+        likeliest = int(np.argmax(scores[1:]))
+        best = longer_s[likeliest] if scores[1 + likeliest] > _SAME_PLACE * scores[0] else best
     return _best_shift(flight, truth, rows, best + np.arange(-0.05, 0.0501, 0.002))
 
 

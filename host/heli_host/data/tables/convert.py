@@ -13,7 +13,14 @@ import numpy as np
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.data.tables.profile import MOTORS, Angle, Part, Profile, Voltage
-from heli_host.data.tables.rows import equal_runs, runs_of, settle_blank_cells, spikes, timed_rows
+from heli_host.data.tables.rows import (
+    equal_runs,
+    runs_of,
+    settle_blank_cells,
+    spikes,
+    timed_rows,
+    without_unread_rows,
+)
 from heli_host.data.tables.table import COUNT, SHARES, VOLTAGE_UNITS, RowChange, Table, split_unit
 from heli_host.declaration import AXES
 from heli_host.errors import FlightDataError
@@ -48,10 +55,11 @@ jump after it, and all at the file's end. A hovering simulation without disturba
 a second."""
 _STAND_JUMPS: Final = 2.0
 _STAND_STEPS: Final = 3.0
+_TABLE_STEPS: Final = 10.0
 _STAND_NEIGHBOURS: Final = 3
-"""Step after such a part, as a multiple of the largest of its neighbours on both sides, and of a typical
-one of the file. An arm that rests for a moment leaves its rest with a step that is smaller than the next
-ones."""
+"""Step after such a part, as a multiple of the largest of its neighbours on both sides, and of a typical step
+of the file: in the air, and near the lowest elevation, where the table may be. An arm that rests for a moment
+leaves its rest with a step that is smaller than the next ones."""
 _OFF_TABLE_DEG: Final = 2.0
 _ALOFT_DEG: Final = 5.0
 """Height above the lowest elevation from which the arm does not rest on the table, and from which it is
@@ -139,7 +147,9 @@ def _settled(table: Table, profile: Profile) -> tuple[Table, Floats]:
     voltages = frozenset(voltage.column for voltage in profile.voltages.values())
     for name in (*angles, *setpoints, *voltages):
         _values_of_column(table, name)
-    table, t_s = _timed(table.aligned(angles | setpoints), profile)
+    used = {*angles, *setpoints, *voltages}
+    table = without_unread_rows(table.aligned(angles | setpoints), used, profile.time)
+    table, t_s = _timed(table, profile)
     table, t_s = settle_blank_cells(table, t_s, voltages, angles | setpoints, MAX_MISSING)
     if len(table) < MIN_ROWS:
         raise _too_few_rows(table, profile)
@@ -296,12 +306,14 @@ def _standing(rows: _Rows) -> Booleans:
             length_s = float(t_s[stop - 1] - t_s[start])
             height_deg = float(np.degrees(angles[start, 0] - lowest_rad))
             is_driven = np.abs(volts[start:stop]).max() >= _OFF_SHARE * largest_V
-            if length_s < shortest_s or height_deg < _OFF_TABLE_DEG or not is_driven:
+            if length_s < shortest_s or not is_driven:
                 continue
+            # An arm on its table stands still, too, but leaves it without a large step.
+            typical_steps = _STAND_STEPS if height_deg > _OFF_TABLE_DEG else _TABLE_STEPS
             before = step_rad[max(start - _STAND_NEIGHBOURS, 0) : start]
             neighbours = np.concatenate((before, step_rad[stop : stop + _STAND_NEIGHBOURS]))
             usual_rad = np.maximum(
-                _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), _STAND_STEPS * typical_rad
+                _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), typical_steps * typical_rad
             )
             jumps = stop < t_s.size and bool((step_rad[stop - 1] > usual_rad)[axes].any())
             ends = stop == t_s.size and len(axes) == len(AXES)

@@ -31,11 +31,9 @@ def read_mat(path: Path) -> Table:
 
 def _read_signals(path: Path) -> Table:
     """Read all signals of a MATLAB file, also those in structures and time series."""
-    import matio
-
     try:
         check_mat(path)
-        content = matio.load_from_mat(str(path))
+        content = _loaded(path)
     except FileNotFoundError as error:
         raise FlightDataError(f"cannot read {path}: there is no such file", "check the path") from error
     except (FlightDataError, MemoryError):
@@ -61,6 +59,19 @@ def _read_signals(path: Path) -> Table:
     if clocked and len(clocked) < len(columns):
         columns = _with_shared_times(columns, clocked[0])
     return Table(str(path), columns)
+
+
+def _loaded(path: Path) -> Mapping[str, Any]:
+    """Load all variables; texts with accents that scipy wrote are read by scipy, because mat-io cannot."""
+    import matio
+
+    try:
+        content: Mapping[str, Any] = matio.load_from_mat(str(path))
+    except UnicodeDecodeError:
+        from scipy.io import loadmat
+
+        content = loadmat(path)
+    return content
 
 
 def _with_shared_times(columns: Mapping[str, Column], timed: Column) -> dict[str, Column]:

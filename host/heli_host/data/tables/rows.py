@@ -47,6 +47,10 @@ _MAX_CONFLICTS: Final = 0.02
 """Largest share of rows that share a time by damage. Damaged lines are rarer in logs that people use."""
 _COPY_SHARE: Final = 0.9
 """Share of the rows with a repeated time that equal the row before, from which they are copies of it."""
+_MIN_HIDDEN_ROWS: Final = 2.0
+"""Rows by which a step of a coarse clock must be short for rows to be missing; one less is rounding."""
+_MAX_UNREAD: Final = 0.03
+"""Largest share of rows with an unreadable cell that count as damaged; slower signals leave more blank."""
 _SPIKE_STEPS: Final = 8.0
 """Step to and from a spike, as a multiple of the 95 % quantile of all steps: damage of 2 % of the rows makes
 4 % of the steps large. Measured columns have up to 4 times their 99 % quantile."""
@@ -62,6 +66,36 @@ class TimedRows:
 
     table: Table  # The rows, with all changes so far
     t_s: Floats  # (n,): Times [s]; they rise, and fall only where a clock starts again
+    uncertain_s: float = 0.0  # Largest error of a time, because a coarse clock hides where rows are missing
+
+
+def without_unread_rows(table: Table, columns: Collection[str], time: str) -> Table:
+    """Leave out the rows in which a column that has numbers nearly everywhere has none.
+
+    A line that is damaged in one cell may have a damaged time, too, and a clock is repaired by all its times.
+    If only other columns than `columns` lack a number, a row is left out if its time is out of order.
+    """
+    known = {name: np.isfinite(column.values) for name, column in table.columns.items() if name != time}
+    lacking = {name: ~cells for name, cells in known.items() if 1.0 - _MAX_UNREAD <= cells.mean() < 1.0}
+    nothing = np.zeros(len(table), bool)
+    unread = np.logical_or.reduce([nothing, *lacking.values()])
+    if not unread.any() or unread.mean() > _MAX_UNREAD:
+        return table
+    is_used = np.logical_or.reduce([nothing, *(lacking[name] for name in columns if name in lacking)])
+    if time in table.columns:
+        times = table.columns[time].values
+        times = -times if float(np.nanmean(np.sign(np.diff(times)))) < 0.0 else times
+        whole = np.flatnonzero(~unread)
+        place = np.searchsorted(whole, np.arange(unread.size))
+        before, after = whole[np.clip(place - 1, 0, None)], whole[np.clip(place, None, whole.size - 1)]
+        unread &= is_used | ~((times >= times[before]) & (times <= times[after]))
+    else:
+        unread &= is_used
+    if not unread.any():
+        return table
+    names = " or ".join(f"'{name}'" for name, cells in lacking.items() if (cells & unread).any())
+    reason = f"without a number in {names} (first: row {int(np.argmax(unread)) + 1})"
+    return table.selected(np.flatnonzero(~unread), [RowChange("left out", int(unread.sum()), reason)])
 
 
 def timed_rows(table: Table, column: str, unit: str) -> TimedRows:
@@ -121,32 +155,37 @@ class _Clock:
 
     def continue_counter(self) -> None:
         """Continue a counter that starts again at the end of its range."""
-        steps = np.diff(self.times)
-        period = self._period(steps)
+        usable = np.flatnonzero(~self._is_far())
+        times = self.times[usable]
+        steps = np.diff(times)
+        period = self._period(times)
         if not period:
             return
         falls = np.flatnonzero(steps < -0.5 * period)
         # Rows that are exchanged at the overflow fall and rise by nearly a period.
         continued = np.mod(steps + 0.25 * period, period) - 0.25 * period
         overflows = round(float((continued - steps).sum()) / period)
-        self.times = self.times[0] + np.concatenate(([0.0], np.cumsum(continued)))
+        turns = np.round((times[0] + np.concatenate(([0.0], np.cumsum(continued))) - times) / period)
+        before = np.searchsorted(usable, np.arange(self.times.size), side="right") - 1
+        self.times = self.times + period * turns[np.clip(before, 0, None)]
         self.step = _typical_step(self.times)
-        times = "once" if overflows == 1 else f"{overflows} times"
+        count = "once" if overflows == 1 else f"{overflows} times"
         self.changes.append(
             RowChange(
                 "retimed",
-                self.rows.size - int(falls[0]) - 1,
-                f"because the counter '{self.column}' overflows at {period:.10g}, {times} "
-                f"(first: row {int(self.rows[falls[0] + 1]) + 1})",
+                self.rows.size - int(usable[falls[0] + 1]),
+                f"because the counter '{self.column}' overflows at {period:.10g}, {count} "
+                f"(first: row {int(self.rows[usable[falls[0] + 1]]) + 1})",
             )
         )
 
-    def _period(self, steps: Floats) -> float:
-        """Return the number at which the counter starts again; 0 if no counter overflows."""
+    def _period(self, times: Floats) -> float:
+        """Return the number at which the counter of these times starts again; 0 if no counter overflows."""
+        steps = np.diff(times)
         if not (steps < 0.0).any():
             return 0.0
-        span, lowest = float(np.ptp(self.times)), float(self.times.min())
-        shown = [] if self.times[0] < _EDGE_STEPS * self.step else [s / self.unit_s for s in _SHOWN_S]
+        span, lowest = float(np.ptp(times)), float(times.min())
+        shown = [] if times[0] < _EDGE_STEPS * self.step else [s / self.unit_s for s in _SHOWN_S]
         for period in (*_MODULI, *shown):
             slack = min(_EDGE_STEPS * self.step, 0.25 * period)
             falls = np.flatnonzero(steps < -0.5 * period)
@@ -154,8 +193,8 @@ class _Clock:
                 continue
             # Unsigned counters begin at 0, signed ones at minus half of their range.
             begin = 0.0 if lowest >= -slack else -0.5 * period
-            is_edge = self.times[falls] > begin + period - slack - self.step
-            is_edge &= self.times[falls + 1] < begin + slack + self.step
+            is_edge = times[falls] > begin + period - slack - self.step
+            is_edge &= times[falls + 1] < begin + slack + self.step
             if is_edge.mean() > 0.5:
                 return float(period)
         # A counter with another range: all falls are equal.
@@ -193,11 +232,16 @@ class _Clock:
             self.leave_out(self.rows[bad], f"whose '{self.column}' is out of order and fits nowhere")
         self.rows, self.times = self.rows[kept], self.times[kept]
 
+    def _is_far(self) -> Booleans:
+        """Mark single times that are far from their neighbours."""
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(self.times, 2, mode="reflect"), 5)
+        result: Booleans = np.abs(self.times - np.median(windows, axis=1)) > _GLITCH_STEPS * self.step
+        return result
+
     def _pull_out_glitches(self) -> None:
         """Move single times that are far from their neighbours to the place where they fit, if any."""
         times = self.times
-        windows = np.lib.stride_tricks.sliding_window_view(np.pad(times, 2, mode="reflect"), 5)
-        is_far = np.abs(times - np.median(windows, axis=1)) > _GLITCH_STEPS * self.step
+        is_far = self._is_far()
         if not is_far.any():
             return
         rest, rest_rows = times[~is_far], self.rows[~is_far]
@@ -341,7 +385,7 @@ def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str
     matrix = np.column_stack(values) if others else np.zeros((times.size, 1))
     keep = np.ones(times.size, bool)
     counts = {"twice": 0, "copies": 0, "rivals": 0, "merged": 0, "coarse": 0}
-    first_rival, notes = 0.0, []
+    first_rival, uncertain_s, notes = 0.0, 0.0, []
     retimed: list[Floats] = []
     seen: list[tuple[Floats, Floats]] = []
     for start, stop in itertools.pairwise([0, *cuts, times.size]):
@@ -361,6 +405,7 @@ def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str
             used[np.flatnonzero(used)[conflicts]] = False
         keep[start:stop] = used
         even, shared, note = _counted_on(segment[used], unit_s)
+        uncertain_s = max(uncertain_s, _hidden_s(segment[used]) * unit_s)
         counts["copies"] += int(is_copy.sum())
         counts["merged"] += int(is_merged.sum())
         counts["rivals"] += int(conflicts.sum())
@@ -382,7 +427,7 @@ def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str
         filled = {name: replace(table.columns[name], values=matrix[:, i]) for i, name in enumerate(others)}
         table = replace(table, columns={**table.columns, **filled})
     table = table.selected(np.flatnonzero(keep), changes) if changes else table
-    return TimedRows(table, np.concatenate(retimed) * unit_s)
+    return TimedRows(table, np.concatenate(retimed) * unit_s, uncertain_s)
 
 
 def _is_same_part(times: Floats, part: Floats, other_times: Floats, other: Floats) -> bool:
@@ -485,6 +530,21 @@ def _counted_on(times: Floats, unit_s: float) -> tuple[Floats, int, str]:
     place = rows - np.repeat(starts, sizes)
     spread: Floats = np.repeat(ticks, sizes) + place * np.repeat(lengths / sizes, sizes)
     return spread, count, f"{about}; the rows were spread evenly within each step of the clock"
+
+
+def _hidden_s(times: Floats) -> float:
+    """Return how long the gaps are within one step of a coarse clock, in the unit of the times.
+
+    A step with fewer rows than the others has lost some, at a place that the clock does not show.
+    """
+    starts = np.flatnonzero(np.diff(times, prepend=-np.inf) != 0.0)
+    if starts.size < _MIN_TIMES:
+        return 0.0
+    sizes, lengths = np.diff(starts), np.diff(times[starts])
+    # The first step may have begun before the file.
+    typical = float(np.median(sizes))
+    lost = float(np.max(typical - sizes[1:], initial=0.0))
+    return lost * float(np.median(lengths)) / typical if lost >= _MIN_HIDDEN_ROWS else 0.0
 
 
 def _line(rows: Floats, times: Floats) -> tuple[float, float]:

@@ -247,9 +247,9 @@ def _whole_rows(
 def _with_points_in_clocks(rows: list[str], width: int) -> list[str]:
     """Write a point into times with a decimal comma, such as `14:05:09,250`, in a table with commas.
 
-    This comma makes one more cell than the header has names, so `width` is the number of names.
+    This comma makes one more cell than the header has names: `width`, or 0 without a header.
     """
-    if statistics.mode(row.count(",") + 1 for row in rows) != width + 1:
+    if width and statistics.mode(row.count(",") + 1 for row in rows) != width + 1:
         return rows
     pointed = [_CLOCK_COMMA.sub(".", row, count=1) for row in rows]
     is_changed = sum(row != before for row, before in zip(pointed, rows, strict=True))

@@ -16,7 +16,7 @@ import numpy as np
 from heli_host.data.arrays import Floats
 from heli_host.data.tables import Column, Table
 from heli_host.data.tables.convert import with_direction
-from heli_host.data.tables.rows import timed_rows
+from heli_host.data.tables.rows import timed_rows, without_unread_rows
 from heli_host.data.tables.table import TIME_UNITS, split_unit
 from heli_host.errors import FlightDataError
 
@@ -96,6 +96,7 @@ class PreparedFile:
     signals: Signals  # All other columns of the file, at even times
     encoders: frozenset[str]  # Columns that are quantised by an encoder of the rig
     begins: bool  # Whether this part is the beginning of the file
+    uncertain_s: float  # Largest error of a time, because a coarse clock hides where rows are missing
 
 
 def prepare_file(
@@ -103,11 +104,13 @@ def prepare_file(
 ) -> PreparedFile:
     """Find the times of an aligned table, repair its rows, cut its longest part, and filter its columns."""
     clock = Clock("", "s", True) if rate_Hz else _clock_of(table, known)
+    uncertain_s = 0.0
     if rate_Hz:
         t_s = np.arange(len(table)) / rate_Hz
     else:
+        table = without_unread_rows(table, table.columns, clock.column)
         timed = timed_rows(table, clock.column, clock.unit)
-        t_s = timed.t_s
+        t_s, uncertain_s = timed.t_s, timed.uncertain_s
         times = Column(t_s / TIME_UNITS[clock.unit], clock.unit)
         # A conversion of these rows must not repair their times again.
         table = replace(timed.table, columns={**timed.table.columns, clock.column: times}, changes=())
@@ -119,7 +122,7 @@ def prepare_file(
     table = without_spikes(table, others)
     signals = column_signals(table, t_s, others, reference.counts.values())
     encoders = frozenset(name for name in others if _is_encoder(table.columns[name].values, reference))
-    return PreparedFile(table, clock, signals, encoders, begins)
+    return PreparedFile(table, clock, signals, encoders, begins, uncertain_s)
 
 
 def with_directions(table: Table) -> tuple[Table, dict[str, str]]:

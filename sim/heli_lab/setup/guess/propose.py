@@ -65,6 +65,8 @@ _CANDIDATE_MARGIN_NATS: Final = 25.0
 """Assignments of columns within this margin of the most likely one are compared by their units, too [nats].
 An assignment without plausible units loses about this much. A higher value takes longer, a lower one neglects
 the units."""
+_UNCERTAIN_TIME_S: Final = 0.02
+"""Error of times above which they are in doubt [s]. Rotors lag by 0.05 s and more."""
 _MAX_TRIM_DEG: Final = 15.0
 """Median pitch of a flight above which its zero is in doubt [deg]. Constant torques of rigs need up to 8."""
 _MAX_CANDIDATES: Final = 12
@@ -277,7 +279,17 @@ def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]
             )
     clock = first.clock
     if clock.sure:
-        return clock, []
+        uncertain_s = max(file.uncertain_s for file in files)
+        if uncertain_s < _UNCERTAIN_TIME_S:
+            return clock, []
+        return clock, [
+            Ambiguity(
+                "the time",
+                f"{clock.column}, with rows spread evenly within each of its steps",
+                f"times up to {uncertain_s:.2f} s earlier or later",
+                "the clock does not show where rows are missing; log a clock with more digits",
+            )
+        ]
     other = clock.alternative or "something else"
     return clock, [Ambiguity("the time", f"{clock.column} in {clock.unit}", other, NO_RATE)]
 

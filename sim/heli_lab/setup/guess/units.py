@@ -77,6 +77,8 @@ on the table. Rest and level differ by some 25 deg, so values up to 20 distingui
 _LOWEST_deg: Final = 3.0
 """Largest elevation above the lowest of a flight [deg] that still counts as the lowest. Flights are some
 25 deg above their rest, so values up to 20 distinguish them."""
+_MAX_DUTY: Final = 2.2
+"""Largest sum of two duty cycles; the rest is noise."""
 _MIN_CLIMB: Final = 0.5
 """Smallest climb from the table to the median of a flight, as a share of the table's depth below level. Most
 pilots fly near level; a smaller climb may be one from a turning point in flight."""
@@ -186,6 +188,10 @@ def measured_motion(
     angle_units, voltage_units = frozenset(_ANGLE_UNITS), frozenset((*VOLTAGE_UNITS, *SHARES))
     stated = {axis: stated_unit(first.table, column, angle_units) for axis, column in columns.items()}
     voltage = [stated_unit(first.table, column, voltage_units) for column in assignment.voltages]
+    peak = max(float(np.nanmax(np.abs(first.table.columns[name].values))) for name in assignment.voltages)
+    if peak > _MAX_DUTY:
+        # A name such as `front_duty` then means the quantity, in percent or in steps of a timer.
+        voltage = [unit if unit != "duty" else "" for unit in voltage]
     return MeasuredMotion(
         gain={axis: abs(regressions[axis].gain) for axis in AXES},
         mean_sum=float(np.mean(means)),
