@@ -66,7 +66,7 @@ def table(name: str, step: float, unit: str = "") -> Table:
         ("whatever", 0.005, "", "s", True),
         ("time", 1.0, "", "ms", False),
         ("index", 1.0, "", "", False),
-        ("column 1", 1.0, "", "", False),
+        ("column 1", 1.0, "", "ms", False),
         ("t_s", 10000.0, "", "us", False),
         ("x2", 5.0, "ms", "ms", True),
     ],

@@ -32,6 +32,8 @@ _MAX_UNNAMED_FALLING_SHARE: Final = 0.03
 _LINEAR: Final = 0.9999
 """Correlation with the row number from which a column without the name of a time may be one. Travel at a
 constant rate has less, because it begins at rest."""
+_MAX_RISE: Final = 3.0
+"""Rise from row to row, as a multiple of the median, from which rows are missing."""
 _STEP_ROWS: Final = 1000
 """Number of rows over which the step of a coarse clock is averaged: more than rows share a time."""
 _MAX_UNEVENNESS: Final = 0.5
@@ -107,7 +109,7 @@ def clock_of(table: Table) -> Clock:
                 )
             continue
         even_share = float(np.mean(np.abs(steps / step - 1.0) < _MAX_UNEVENNESS))
-        clock = _interpret_as_times(name, column.unit, step)
+        clock = _interpret_as_times(name, column.unit, step, float(values[0]))
         score = 2.0 * is_named + even_share + bool(clock.unit) + clock.sure
         scored_clocks.append((score, clock))
     if not scored_clocks:
@@ -130,7 +132,10 @@ def _is_clock(values: Floats, is_named: bool) -> bool:
     # The times of a few rows may be damaged.
     if rows.size < (1.0 - 2.0 * _MAX_UNNAMED_FALLING_SHARE) * values.size:
         return False
-    return abs(float(np.corrcoef(rows, values[rows])[0, 1])) > _LINEAR
+    # A gap is no bend of the line.
+    rises = np.abs(np.diff(values[rows]))
+    line = np.cumsum(np.minimum(rises, _MAX_RISE * float(np.median(rises))))
+    return float(np.corrcoef(rows[1:], line)[0, 1]) > _LINEAR
 
 
 def _mean_step(values: Floats) -> float:
@@ -144,8 +149,8 @@ def _mean_step(values: Floats) -> float:
     return float(np.median((values[rows:] - values[:-rows]) / rows))
 
 
-def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
-    """Interpret a column that rises from row to row as times."""
+def _interpret_as_times(name: str, header_unit: str, step: float, first: float) -> Clock:
+    """Interpret a column that rises from row to row, from its `first` value on, as times."""
     shortest_s, longest_s = _STEPS_s
     possible_units = [unit for unit, s in TIME_UNITS.items() if shortest_s <= step * s <= longest_s]
     words = names.words_of(name)
@@ -167,7 +172,7 @@ def _interpret_as_times(name: str, header_unit: str, step: float) -> Clock:
     if not names.is_time(name) and names.meaning_of(name, header_unit).quantity == names.A_COUNTER:
         return Clock(name, "", False, f"'{name}' counts the rows")
     may_count_rows = abs(step - 1.0) < 1e-6
-    if may_count_rows and not names.is_time(name):
+    if may_count_rows and not names.is_time(name) and first in (0.0, 1.0):
         return Clock(name, "", False, f"'{name}' rises by 1 from row to row, as a counter of rows")
     if may_count_rows and not (names.is_time(name) and possible_units):
         return Clock(name, possible_units[0] if possible_units else "ms", False, "it may count rows")
