@@ -32,8 +32,8 @@ from heli_lab.watch.forecast import Forecasts, HORIZONS_s, MAIN_HORIZON_s, START
 from heli_lab.watch.saved_rig import Forecaster, JudgedFlight, at_horizon, forecast_flights
 
 _MAX_RATIO: Final = 1.5
-"""Mean square error of a right model, divided by that which its disturbances cause, that chance allows. On 33
-simulated flights of right and wrong models it was 0.45 to 1.28 (2026-11). Lower: chance is called unknown.
+"""Mean square error of a right model, divided by that which its disturbances cause, that chance allows. On
+eight simulated flights of right models it was 0.76 to 1.27 (2026-11). Lower: chance is called unknown.
 Higher: unknown effects are called disturbances."""
 _BINS: Final = 3
 """Ranges of a quantity that are compared: a low, a middle and a high one with equally many forecasts. More:
