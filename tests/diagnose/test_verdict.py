@@ -149,7 +149,7 @@ def test_estimate_without_a_tight_wrong_prior_is_right() -> None:
     assert "these flights alone give 0.0" in prior_conflict_sentence(conflict)
 
 
-def test_an_effect_that_a_wrong_parameter_stands_in_for_has_a_score() -> None:
+def test_an_effect_that_a_wrong_parameter_replaces_has_a_score() -> None:
     fit, _ = flights()
     rig = with_tight_prior(2.0 * FRICTION)
     comparison = ModelComparison(MultibodyModel(), rig, [prepare(fit, rig, "fit")], [])

@@ -110,7 +110,7 @@ def absence_probability(value: float, std: float) -> float:
 
 
 class Influence(NamedTuple):
-    """What changes if a cause is left out of the model, and everything else is refitted."""
+    """The change if a cause is left out of the model, and everything else is refitted."""
 
     change_counts: float  # Root mean square change of the 2 s open-loop prediction, encoder counts
     conflicts: tuple[PriorConflict, ...]
