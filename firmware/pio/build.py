@@ -21,7 +21,7 @@ ROOT = HERE.parents[1]
 sys.path.insert(0, str(ROOT))
 
 from firmware.generator.declared import DeclarationError  # noqa: E402 - found by the line above
-from firmware.generator.wiring import generate_header, generate_table, read_pins  # noqa: E402
+from firmware.generator.wiring import generate_header, generate_table, read_pins  # noqa: E402 - the same
 
 WIRING = ROOT / "build" / "pio-wiring"
 CORE = ROOT / "build" / "platformio"

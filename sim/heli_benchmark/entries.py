@@ -82,6 +82,7 @@ def load_function(method: MethodAddress) -> Callable[..., Any]:
     function = getattr(_import_module(method), method.function, None)
     if not callable(function):
         raise BenchmarkError(f"{method.file} has no function '{method.function}'", "give another name")
+    # What it takes and returns is checked when it answers a case.
     return function  # type: ignore[no-any-return]
 
 

@@ -153,7 +153,7 @@ def fuzz_host(seed: int, frames: int) -> tuple[int, Counter[str]]:
     def attempt(action: Callable[[], object]) -> bool:
         try:
             action()
-        except Exception as error:  # noqa: BLE001
+        except Exception as error:  # noqa: BLE001 - it is what the fuzzer looks for
             wrong = unexpected(error)
             if wrong is not None:
                 broken[f"{type(wrong).__name__}: {wrong}"] += 1

@@ -146,7 +146,7 @@ def _diagnosed(pair: str, exchanged: bool) -> tuple[str, int]:
         for label in labels
     )
     forecast = Forecaster(judged, model_of, load_rig(RIG))
-    shares = error_shares(diagnosis, forecast, fitted)
+    shares = error_shares(diagnosis, forecast, lambda: fitted)
     saved = saved_rig(diagnosis, "saved", forecast, with_unconfirmed=False)
     errors = at_horizon(forecast(saved.rig), forecast(diagnosis.rig("plain", only=())))
     parts = [

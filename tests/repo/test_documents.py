@@ -17,16 +17,13 @@ import pytest
 import typer.main
 from heli_host.ui.cli import app
 
+from tests.repo.prose.texts import pages
 from tests.repo.typed import PLANS, WORK, Typed
 from tests.running.long import LONG
 
 ROOT = Path(__file__).resolve().parents[2]
 AT_THE_ROOT = ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
-WRITTEN_BY_A_BUILD = ROOT / "docs" / "reference" / "verbs"
-DOCUMENTS = [
-    *(ROOT / name for name in AT_THE_ROOT),
-    *(path for path in sorted((ROOT / "docs").rglob("*.md")) if path.parent != WRITTEN_BY_A_BUILD),
-]
+DOCUMENTS = [*(ROOT / name for name in AT_THE_ROOT), *pages(ROOT)]
 VERDICT = re.compile(r"^(?:explained|cause_found|ambiguous|unexplained): ", re.MULTILINE)
 """Begin of the line with which a diagnosis states its verdict."""
 FENCE = re.compile(r"^```(\w+)(?: (run|long))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.repo.prose.texts import pages
 from tests.repo.site_search import answers
 from tests.running.long import LONG
 
@@ -19,11 +20,6 @@ FOLDERS = {"tutorials", "how-to", "reference", "explanation", "validation"}
 # For readers of the repository: what a folder is for.
 NOT_PAGES = {"figures/README.md", "laws/README.md", "matlab/README.md"}
 TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-
-
-def written_pages() -> list[Path]:
-    """All pages but those that a build of the site writes, one per verb."""
-    return [path for path in sorted(DOCS.rglob("*.md")) if path.parent != DOCS / "reference" / "verbs"]
 
 
 def children(page: Path) -> list[Path]:
@@ -41,13 +37,13 @@ def reached(page: Path) -> set[Path]:
 
 
 def test_the_tree_of_contents_reaches_every_page() -> None:
-    pages = {path for path in written_pages() if str(path.relative_to(DOCS)) not in NOT_PAGES}
-    assert reached(DOCS / "index.md") == pages
+    named = {path for path in pages(ROOT) if str(path.relative_to(DOCS)) not in NOT_PAGES}
+    assert reached(DOCS / "index.md") == named
 
 
 def test_every_page_is_in_one_of_the_five_folders() -> None:
-    pages = {str(path.relative_to(DOCS)) for path in written_pages()} - NOT_PAGES
-    outside = {page for page in pages if page.partition("/")[0] not in FOLDERS}
+    names = {str(path.relative_to(DOCS)) for path in pages(ROOT)} - NOT_PAGES
+    outside = {page for page in names if page.partition("/")[0] not in FOLDERS}
     assert outside == {"index.md", "course/README.md"}
 
 
@@ -60,7 +56,7 @@ def linked(page: Path) -> set[Path]:
 def test_every_page_is_within_two_links_of_the_readme() -> None:
     near = linked(ROOT / "README.md")
     near = near.union(*(linked(page) for page in near if page.is_relative_to(DOCS)))
-    assert {path for path in written_pages() if str(path.relative_to(DOCS)) not in NOT_PAGES} <= near
+    assert {path for path in pages(ROOT) if str(path.relative_to(DOCS)) not in NOT_PAGES} <= near
 
 
 @pytest.mark.parametrize("name", ["overview", "rig"])

@@ -76,7 +76,7 @@ def shares(
     monkeypatch.setattr(module, "forecast_flights", lambda *_: fitted)
     forecaster: Any = forecast
     forecaster.model_of = lambda _: None
-    return error_shares(result, forecaster, [])
+    return error_shares(result, forecaster, list)
 
 
 def test_the_parts_add_up_to_the_error_without_the_causes(monkeypatch: pytest.MonkeyPatch) -> None:

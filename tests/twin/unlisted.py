@@ -56,7 +56,7 @@ def parts_of(case: Case) -> list[str]:
     fitted, judged = (
         [JudgedFlight(label, flight, (None, None))] for label, flight in (("a", first), ("b", second))
     )
-    shares = error_shares(result, Forecaster(judged, model_of, nominal), fitted)
+    shares = error_shares(result, Forecaster(judged, model_of, nominal), lambda: fitted)
     true_model = MultibodyModel(tuple(effect for effect in effects if not effect.noise_inputs))
     true_errors = at_horizon(forecast_flights(true_model, true.rig, judged), None)
     lines = [f"{case}: {result.label}, curves {', '.join(shares.curves) or 'none'}"]

@@ -167,6 +167,7 @@ class Landing:
                 self._begin_descent(state)
             if on_wait is not None:
                 on_wait()
+            # mypy gives no type to a lambda with a default.
             session.wait_for(lambda seen=state: state_if_running() is not seen, _LOOK_S)  # type: ignore[misc]
 
     def _begin_descent(self, state: State) -> None:

@@ -280,7 +280,7 @@ def _unpacked_head(path: Path) -> bytes:
 def can_limit() -> bool:
     """Whether this system can limit processes; Windows cannot."""
     try:
-        import resource  # noqa: F401
+        import resource  # noqa: F401 - whether it exists is the question
     except ImportError:
         return False
     return True

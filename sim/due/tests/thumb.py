@@ -87,6 +87,7 @@ def _no(*letters: str, bad: tuple[int, ...] = (13, 15)) -> Callable[[Fields], bo
 
 
 def _e(name: str, bits: str, ok: Callable[[Fields], bool] = lambda f: True, **more: object) -> Encoding:
+    # `more` are fields of Encoding, whose types differ.
     return Encoding(name, bits.replace(" ", ""), ok, **more)  # type: ignore[arg-type]
 
 

@@ -41,6 +41,7 @@ def main(folder: Path, *methods: str) -> int:
         constant, values, fixed = TUNED[method]
         module = import_module(f"heli_benchmark.methods.{method}")
         if hasattr(module, "residual_regression"):
+            # A module has no attributes that mypy knows.
             module.residual_regression = regression  # type: ignore[attr-defined]
         if hasattr(module, "train"):
             module.train(folder)

@@ -220,7 +220,7 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     instead = {
         id_: without_it.conflicts
         for id_, without_it in influence.items()
-        if without_it.matters and without_it.change_counts < MATTERS_COUNTS
+        if without_it.conflicts and without_it.change_counts < MATTERS_COUNTS
     }
     negligible = describe_negligible_effects(search, negligible_changes, kinds, after.fit)
     if negligible:

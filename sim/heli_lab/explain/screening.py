@@ -423,22 +423,16 @@ class Screening:
         self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
-        is_prior_of_rig = prior is None
         self.measurements = sum(len(flight) for flight in innovations.flights)
-        if prior is None:
-            prior = NormalDistribution(parameter_vector.mean, np.diag(parameter_vector.std**-2.0))
+        of_rig = NormalDistribution(parameter_vector.mean, np.diag(parameter_vector.std**-2.0))
+        mean, precision = prior or of_rig
         # Normal equations of the free parameters: (parameters, parameters), and the columns of each flight.
-        self._normal_equations = (innovations.information() + prior.precision, innovations.per_flight)
-        prior_score = prior.precision @ (estimate.theta - prior.mean)
+        self._normal_equations = (innovations.information() + precision, innovations.per_flight)
+        step = self._solve(innovations.score() - precision @ (estimate.theta - mean))
         # Whitened innovations of each flight after a Gauss-Newton step of the free parameters, (m,).
-        self._error = innovations.after(self._solve(innovations.score() - prior_score))
-        # Score of the free parameters that priors hold back without being evidence for candidates, (f,).
-        self._held_back = np.zeros(innovations.size)
-        if not is_prior_of_rig:
-            for flight, columns, error in zip(
-                innovations.flights, innovations.columns, self._error, strict=True
-            ):
-                self._held_back[columns] += flight[:, 1:].T @ error
+        self._error = innovations.after(step)
+        # Score of the free parameters that a prior holds back without being evidence for candidates, (f,).
+        self._held_back = np.zeros_like(step) if prior is None else precision @ (estimate.theta + step - mean)
 
     def release(self) -> None:
         """Free the memory of cached signals, 0.2 GB for ten minutes of flight.

@@ -17,7 +17,7 @@ from heli_host.ui.cli.verb import Verb
 from heli_lab import fit_inputs as option
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from heli_host.data.flight import Flight
     from heli_sim.model.base import Model
@@ -94,7 +94,7 @@ def identify(
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
     from heli_lab.watch.acting_voltages import with_likely_advance
-    from heli_lab.watch.saved_rig import compare_rigs, comparison_json
+    from heli_lab.watch.saved_rig import compare_rigs, comparison_json, unmeasured_sentence
 
     validation_paths = validate or []
     data_on_stdout(json)
@@ -139,17 +139,24 @@ def identify(
         if save_rig is not None:
             bar.show("forecasts", 0.88)
             identified_rig = identification.rig(save_rig.stem)
-            judged = _judged_flights(paths, inputs.labels, spans, allow_gaps, records)
+            judged = _judged_flights(
+                slice(len(flights), None) if validation_paths else slice(None),
+                paths,
+                inputs.labels,
+                spans,
+                allow_gaps,
+                records,
+            )
             try:
                 comparison = compare_rigs(
                     (model_of(inputs.rig, model, effect_file or ()), inputs.rig),
                     (equations(identified_rig), identified_rig),
-                    judged[len(flights) :] or judged,
+                    judged,
                     identification.fit.problem.records,
                 )
                 rig_lines = list(comparison.lines)
             except HeliError as error:
-                rig_lines = [f"Forecasts were not measured: {error}"]
+                rig_lines = [unmeasured_sentence(error)]
             comment = f"Found by heli-host identify. {verdict(identification)}"
             write_rig(identified_rig, save_rig, "\n".join([comment, *rig_lines]))
         if report is not None:
@@ -307,14 +314,18 @@ def diagnose(
                 after = result.assessment.after
                 held_out_records = after.held_out_fit.problem.records if after.held_out_fit else ()
                 records = (*after.fit.problem.records, *held_out_records)
-                judged = _judged_flights(paths, inputs.labels, spans, allow_gaps, records)
+                fitted, held_out = slice(len(flights)), slice(len(flights), None)
+
+                def judged(part: slice) -> list[JudgedFlight]:
+                    return _judged_flights(part, paths, inputs.labels, spans, allow_gaps, records)
+
                 forecast = Forecaster(
-                    judged[len(flights) :] if result.has_other_flight else judged[: len(flights)],
+                    judged(held_out if result.has_other_flight else fitted),
                     lambda rig: model_of(rig, inputs.model.name, effect_file or ()),
                     inputs.rig,
                 )
                 if result.label != "explained":
-                    shares = _error_shares(result, forecast, judged[: len(flights)])
+                    shares = _error_shares(result, forecast, lambda: judged(fitted))
                 if save_rig is not None:
                     bar.show("forecasts with the extended rig", 0.94)
                     source = f"heli-host diagnose, model {inputs.model.name}"
@@ -352,13 +363,16 @@ def diagnose(
 
 
 def _judged_flights(
+    part: slice,
     paths: Sequence[Path],
     labels: Sequence[str],
     spans: Sequence[tuple[float | None, float | None]],
     allow_gaps: bool,
     records: Sequence[Record],
 ) -> list[JudgedFlight]:
-    """Read the flights for forecasts, with the voltages that acted according to the records of the fit."""
+    """Read a part of the flights for forecasts, with the voltages that acted according to the records of the
+    fit.
+    """
     from heli_host.data.log.reader import read_flight
 
     from heli_lab.fit.voltage_timing import with_acting_voltages
@@ -372,12 +386,12 @@ def _judged_flights(
 
     return [
         JudgedFlight(label, flight(path, label), span)
-        for path, label, span in zip(paths, labels, spans, strict=True)
+        for path, label, span in zip(paths[part], labels[part], spans[part], strict=True)
     ]
 
 
 def _error_shares(
-    result: Diagnosis, forecast: Forecaster, fitted: Sequence[JudgedFlight]
+    result: Diagnosis, forecast: Forecaster, fitted: Callable[[], Sequence[JudgedFlight]]
 ) -> ErrorShares | None:
     """Return the parts of the forecast error; None if no flight is long enough."""
     from heli_host.errors import HeliError

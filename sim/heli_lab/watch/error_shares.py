@@ -17,7 +17,7 @@ range, and the judged flights must confirm it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -72,6 +72,13 @@ class LargeErrorRange:
         return f"{self.quantity} {place}"
 
 
+class Part(NamedTuple):
+    """A part of a mean square error."""
+
+    deg: float  # Root of its mean square, with the sign of the part
+    share: float  # Share of the mean square without the causes
+
+
 @dataclass(frozen=True)
 class AxisShares:
     """Parts of the mean square error of an axis. `causes`, `disturbances` and `unknown` add up to the error
@@ -92,6 +99,18 @@ class AxisShares:
             "unknown": self.unknown_deg2,
         }
 
+    @property
+    def parts(self) -> Mapping[str, Part]:
+        """The same parts in degrees, and as shares."""
+        total_deg2 = self.before_deg**2
+        return {
+            name: Part(
+                float(np.copysign(abs(part_deg2) ** 0.5, part_deg2)),
+                part_deg2 / total_deg2 if total_deg2 > 0.0 else 0.0,
+            )
+            for name, part_deg2 in self.parts_deg2.items()
+        }
+
 
 @dataclass(frozen=True)
 class ErrorShares:
@@ -107,9 +126,13 @@ class ErrorShares:
     among the disturbances."""
 
 
-def error_shares(result: Diagnosis, forecast: Forecaster, fitted: Sequence[JudgedFlight]) -> ErrorShares:
-    """Divide the error of the flights that `forecast` forecasts: the held-out flights, or the `fitted` ones
-    if there are no others.
+def error_shares(
+    result: Diagnosis, forecast: Forecaster, fitted: Callable[[], Sequence[JudgedFlight]]
+) -> ErrorShares:
+    """Divide the error of the flights that `forecast` forecasts: the held-out flights, or the fitted ones if
+    there are no others.
+
+    `fitted` reads the fitted flights, which only an unexplained error needs.
 
     A HeliError is raised if no flight is long enough for forecasts.
     """
@@ -140,7 +163,7 @@ def error_shares(result: Diagnosis, forecast: Forecaster, fitted: Sequence[Judge
     unknown_deg2 = unknown_deg2 + excess_deg2
     ranges: list[LargeErrorRange | None] = [None] * len(AXES)
     if has_other_flight and result.label == "unexplained":
-        of_fitted = forecast_flights(forecast.model_of(extended), extended, fitted)
+        of_fitted = forecast_flights(forecast.model_of(extended), extended, fitted())
         ranges = [_larger_where(of_fitted, remaining, number) for number in range(len(AXES))]
     return ErrorShares(
         tuple(flight.label for flight in remaining),
@@ -256,19 +279,11 @@ def shares_json(shares: ErrorShares) -> dict[str, Any]:
 
 
 def _axis_json(shares: AxisShares) -> dict[str, Any]:
-    """Write the parts of an axis: degrees are roots of mean squares, with the sign of the part."""
     where = shares.larger_where
-    total_deg2 = shares.before_deg**2
     return {
         "before_deg": shares.before_deg,
         "after_deg": shares.after_deg,
-        **{
-            name: {
-                "deg": float(np.copysign(abs(part) ** 0.5, part)),
-                "share": part / total_deg2 if total_deg2 > 0.0 else 0.0,
-            }
-            for name, part in shares.parts_deg2.items()
-        },
+        **{name: part._asdict() for name, part in shares.parts.items()},
         "larger_where": None
         if where is None
         else {

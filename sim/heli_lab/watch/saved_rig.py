@@ -116,8 +116,13 @@ def saved_rig(
             remaining.remove(harmful)
             of_rig = forecast(rig_with(remaining))
     except HeliError as error:
-        return SavedRig(rig_with(remaining), (), (f"Forecasts were not measured: {error}",))
+        return SavedRig(rig_with(remaining), (), (unmeasured_sentence(error),))
     return SavedRig(rig_with(remaining), tuple(left_out), forecast_lines(of_rig))
+
+
+def unmeasured_sentence(error: HeliError) -> str:
+    """State why a rig file has no forecast errors."""
+    return f"Forecasts were not measured: {error}"
 
 
 def _with_equation(result: Diagnosis, proposal: Proposal, name: str, forecast: Forecaster) -> SavedRig:
@@ -128,7 +133,7 @@ def _with_equation(result: Diagnosis, proposal: Proposal, name: str, forecast: F
         of_rig = forecast_flights(model, rig, forecast.judged)
         errors = at_horizon(of_rig, forecast(result.rig(name, only=())))
     except HeliError as error:
-        return SavedRig(rig, (), (f"Forecasts were not measured: {error}",), has_term=True)
+        return SavedRig(rig, (), (unmeasured_sentence(error),), has_term=True)
     axis = worst_axis(errors, forecast.count_deg)
     if axis is None:
         return SavedRig(rig, (), forecast_lines(of_rig), has_term=True)

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tests.repo.prose.rules import Finding, Rules, is_long, unexplained, words_in
-from tests.repo.prose.texts import is_document, sentences_of, sources, texts_of
+from tests.repo.prose.texts import is_document, pages, sentences_of, sources, texts_of
 
 DISPLAYED = re.compile(r"\$\$.*?\$\$", re.DOTALL)
 FORMULA = re.compile(r"\$[^$]+\$")
@@ -27,8 +27,6 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
 GLOSSARY = ROOT / "docs/reference/glossary.md"
 WRITTEN_BY_PROGRAMS = ("docs/reference/link.md", "docs/reference/faults.md", "docs/reference/parameters.md")
-VERBS = "docs/reference/verbs/"
-"""Pages that a build of the site writes."""
 # READMEs of folders, which the site leaves out.
 NOT_PAGES = ("docs/figures/README.md", "docs/laws/README.md", "docs/matlab/README.md")
 
@@ -86,9 +84,9 @@ def report_words(root: Path = ROOT) -> None:
     reference, others = "docs/reference/", "docs/, without reference/"
     totals = {others: [0, 0], reference: [0, 0]}
     print("sentences  tables  page")
-    for page in sorted((root / "docs").rglob("*.md")):
+    for page in pages(root):
         name = page.relative_to(root).as_posix()
-        if name in WRITTEN_BY_PROGRAMS or name in NOT_PAGES or name.startswith(VERBS):
+        if name in WRITTEN_BY_PROGRAMS or name in NOT_PAGES:
             continue
         in_sentences, elsewhere = page_words(page, root)
         print(f"{in_sentences:9}  {elsewhere:6}  {name}")

@@ -75,6 +75,11 @@ def sources(root: Path) -> list[Path]:
     return [root / name for name in sorted(set(listed)) if name not in GENERATED and (root / name).is_file()]
 
 
+def pages(root: Path) -> list[Path]:
+    """Documents in docs/, without those that a build of the site writes."""
+    return [path for path in sources(root) if path.suffix == ".md" and path.is_relative_to(root / "docs")]
+
+
 def sentences_of(text: Text) -> list[str]:
     """Sentences of prose; none of a heading or a cell."""
     return [part for part in END.split(text.content) if part.strip()] if text.is_prose else []

@@ -122,6 +122,7 @@ def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _V
                 values[name] = group(**{option: values.pop(option) for option in options})
             verb(**values)
 
+        # Typer reads the signature from this attribute, which types of functions do not have.
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         return command

@@ -261,7 +261,7 @@ def stop_motors(source: Source, notes: Notes) -> str:
         source.stop()
     except HeliError as error:
         return str(error)
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:  # noqa: BLE001 - the person who stops must read what to do, whatever failed
         notes.warn(f"a stop failed: {type(error).__name__}: {error}")
         return "the stop failed; use the rig's own stop switch"
     return ""

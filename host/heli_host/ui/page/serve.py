@@ -179,6 +179,7 @@ class _AcceptedConnection(H11Protocol):
         self._read_head = head
         self._has_arrived = has_arrived
 
+    # asyncio declares any transport here; uvicorn declares no result of `eof_received`.
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin with the bytes that were read before."""
         super().connection_made(transport)

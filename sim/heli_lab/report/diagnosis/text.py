@@ -529,18 +529,12 @@ def error_share_rows(shares: ErrorShares) -> list[list[str]]:
     """Return a table row for each axis: error without and with the causes [deg], and each part of the error
     in degrees and in percent of its mean square.
     """
-
-    def cell(part_deg2: float, total_deg2: float) -> str:
-        percent = 100.0 * part_deg2 / total_deg2 if total_deg2 > 0.0 else 0.0
-        sign = "-" if part_deg2 < 0.0 else ""
-        return f"{sign}{abs(part_deg2) ** 0.5:.2g} ({percent:.0f} %)"
-
     return [
         [
             axis,
             f"{of_axis.before_deg:.3g}",
             f"{of_axis.after_deg:.3g}",
-            *(cell(part_deg2, of_axis.before_deg**2) for part_deg2 in of_axis.parts_deg2.values()),
+            *(f"{part.deg:z.2g} ({100.0 * part.share:z.0f} %)" for part in of_axis.parts.values()),
         ]
         for axis, of_axis in shares.axes.items()
     ]

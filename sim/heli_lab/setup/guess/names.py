@@ -207,10 +207,10 @@ def _with_rolls(meanings: Mapping[str, ColumnMeaning]) -> dict[str, ColumnMeanin
     stated = {meaning.role for meaning in meanings.values()}
     if not rolls or "elevation" in stated:
         return dict(meanings)
-    renamed = {"pitch": "elevation"}
     result = {}
     for name, meaning in meanings.items():
-        role = "pitch" if name in rolls else renamed.get(meaning.role, meaning.role)
+        role = "elevation" if meaning.role == "pitch" else meaning.role
+        role = "pitch" if name in rolls else role
         possible = (role,) if role and not meaning.quantity else meaning.possible_roles
         result[name] = replace(meaning, role=role, possible_roles=possible)
     return result

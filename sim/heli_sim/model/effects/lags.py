@@ -46,6 +46,7 @@ class RotorLag(Effect):
                 )
             effect = ROTOR_LAG.make({"rotor_lag_s": lag_s})
             fields = {name: getattr(effect, name) for name in Effect.__dataclass_fields__}
+        # `fields` are those of Effect, whose types differ.
         super().__init__(**fields)  # type: ignore[arg-type]
 
     time_constant: ClassVar[str] = "s"

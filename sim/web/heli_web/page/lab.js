@@ -1,8 +1,7 @@
 // The panel that only the page in a browser has: rig, board, effect, disturbances, faults, speed, logs.
-import { defaultSettings, readAddress, SettingsError, writeAddress } from "./settings.js";
+import { AXES, defaultSettings, readAddress, SettingsError, writeAddress } from "./settings.js";
 
 const $ = (id) => document.getElementById(id);
-const AXES = ["elevation", "pitch", "travel"];
 const BOARDS = { native: "native flight code", due: "emulated Due with the firmware file" };
 const PUSHES_deg_s = { elevation: 15, pitch: 40, travel: 15 }; // large enough to be seen, small enough for the loops of the board
 const LINK_MAX = 2000;

@@ -1,6 +1,7 @@
 // What the address and the panel choose: rig, board, effect, seed, plan, gains; checked, and made to a world.
 import { Generator } from "./random.js";
 
+export const AXES = ["elevation", "pitch", "travel"]; // as heli_sim orders them
 const MODULUS = 2 ** 31 - 1, OFFSET_COUNTS = 50000; // of heli_sim.model.plant and heli_sim.sil.world
 
 export class SettingsError extends Error {}

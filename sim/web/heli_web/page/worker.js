@@ -3,7 +3,7 @@
 import { HeliError, nameOf, CHANNEL } from "./engine.js";
 import { Host } from "./host.js";
 import { Replay } from "./replay.js";
-import { SettingsError, worldSetup } from "./settings.js";
+import { AXES, SettingsError, worldSetup } from "./settings.js";
 import { WorldFactory } from "./world.js";
 
 const LOOP_MS = 6, BUDGET_MS = 14, READ_MS = 10; // a stop waits for one of each at most
@@ -12,7 +12,6 @@ const MAX_BEHIND_MS = 100; // more is not caught up: the page was suspended, or 
 const MAX_ROWS = 1 << 16, MAX_UNSHOWN = 8, HUNG_MS = 3000;
 const HEADER = 24, THINNED = 1, RESET = 2;
 const YOU = "page";
-const AXES = ["elevation", "pitch", "travel"];
 
 let facts = null, factory = null, elf = null, settings = null;
 let host = null, replay = null, reading = null, ready = false;

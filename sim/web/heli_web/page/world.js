@@ -76,11 +76,12 @@ export class World {
 
   setParameters(values) { this.withNumbers(values, (place) => this.board.set_parameters(place, values.length)); }
 
-  // Changes the rate of an axis within one tick, as a tap with a finger does. Returns whether the arm is free to follow.
+  // Changes the rate of an axis within one tick, as a tap with a finger does; returns false if the arm rests, and does not yield.
   push(axis, rate_rad_s) {
     const state = new Float64Array(this.board.memory.buffer, this.board.state(), this.count);
+    if (state[0] <= this.rest_rad) return false;
     state[AXES + axis] += rate_rad_s;
-    return state[0] > this.rest_rad;
+    return true;
   }
 
   setDelay(delay_s) { this.board.set_delay(delay_s); }
