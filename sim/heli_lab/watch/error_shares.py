@@ -72,7 +72,7 @@ class LargeErrorRange:
         return f"{self.quantity} {place}"
 
 
-class Part(NamedTuple):
+class ErrorPart(NamedTuple):
     """A part of a mean square error."""
 
     deg: float  # Root of its mean square, with the sign of the part
@@ -100,11 +100,11 @@ class AxisShares:
         }
 
     @property
-    def parts(self) -> Mapping[str, Part]:
+    def parts(self) -> Mapping[str, ErrorPart]:
         """The same parts in degrees, and as shares."""
         total_deg2 = self.before_deg**2
         return {
-            name: Part(
+            name: ErrorPart(
                 float(np.copysign(abs(part_deg2) ** 0.5, part_deg2)),
                 part_deg2 / total_deg2 if total_deg2 > 0.0 else 0.0,
             )
