@@ -106,10 +106,7 @@ class _CaseResult(NamedTuple):
 
 
 def _run_cases(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[_CaseResult]:
-    """Run all cases, and yield their results.
-
-    Rows of an earlier run with the same code come first; the others come as they are finished.
-    """
+    """Run all cases, and yield their results."""
     folder = options.folder.resolve()
     settings = {"folder": str(folder), "keep": options.keep, "refits": options.budget}
     campaign_cases = {

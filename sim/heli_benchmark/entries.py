@@ -173,11 +173,9 @@ def run_method(
     distribute: Distribute | None = None,
     say: Callable[[str, str], None] | None = None,
 ) -> None:
-    """Run a method on the cases of a split that have no result yet.
-
-    `distribute`: Runs the cases on other machines, such as those of a cluster, and yields the name and the
-    result of each. They must see the folders of split, method and resources under the same paths.
-    """
+    """Run a method on the cases of a split that have no result yet."""
+    # `distribute`: Runs the cases on other machines, such as those of a cluster, and yields the name and the
+    # result of each. They must see the folders of split, method and resources under the same paths.
     limits = limits or RunLimits()
     method = find_method(text)
     _check_folder(split, method, text, folder, limits)
@@ -277,10 +275,8 @@ def run_on_cluster(
     resources: Path | None,
     limits: RunLimits,
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Run a method on cases, and yield the name and the result of each case that ends.
-
-    `method`: File and function, which every worker must see under the same path.
-    """
+    """Run a method on cases, and yield the name and the result of each case that ends."""
+    # `method`: File and function, which every worker must see under the same path.
     if not cases:
         return
     # Only a run on a cluster needs Dask.

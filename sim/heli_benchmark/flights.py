@@ -175,11 +175,10 @@ def tracked(
 
 
 class _Pilot:
-    """Controller that computes voltages from angles.
+    """Controller that computes voltages from angles."""
 
-    Elevation is controlled by the mean of both voltages. Travel is controlled by pitch, and pitch by the
-    difference of the voltages. Rates are filtered differences of angles.
-    """
+    # Elevation is controlled by the mean of both voltages. Travel is controlled by pitch, and pitch by the
+    # difference of the voltages. Rates are filtered differences of angles.
 
     def __init__(self, rig: Rig, controller: str, step_s: float, rng: np.random.Generator) -> None:
         v = {name: rig[name].value for name in rig}
@@ -249,10 +248,7 @@ def _elevation_controller_gains(controller: str, bandwidth_rad_s: float) -> Floa
 def _pitch_travel_controller_gains(
     controller: str, travel_rad_s2_per_rad: float, pitch_rad_s: float, travel_rad_s: float
 ) -> Floats:
-    """Return five gains: of pitch and its rate; of travel's error, its rate and its integral.
-
-    The last three give the pitch that moves travel to its reference.
-    """
+    """Return five gains: of pitch and its rate; of travel's error, its rate and its integral."""
     if controller == "state_feedback":
         # States: pitch and its rate, travel rate, travel, and the integral of travel.
         state_matrix = np.zeros((5, 5))

@@ -134,12 +134,10 @@ class Row:
 
     @property
     def right(self) -> bool:
-        """Whether the answer is right, by the rule for the kind of the case.
-
-        Nothing hidden: explained, without a name. An unlisted effect: unexplained, or its name if the
-        catalogue lists it by now. Otherwise all hidden effects must be named, or, on clean flights, the first
-        name must be right.
-        """
+        """Whether the answer is right, by the rule for the kind of the case."""
+        # Nothing hidden: explained, without a name. An unlisted effect: unexplained, or its name if the
+        # catalogue lists it by now. Otherwise all hidden effects must be named, or, on clean flights, the
+        # first name must be right.
         if self.kind == "nothing":
             return self.verdict == "explained" and not self.false_names
         if self.kind == "off_list":
@@ -188,11 +186,9 @@ class Row:
         return {LISTED_SINCE[name] for name in self.hidden if name in LISTED_SINCE}
 
     def _stands_for(self, i: int, hidden: str) -> bool:
-        """Whether the `i`-th named cause stands for the effect `hidden`.
-
-        It does if it is that effect, if it combines that effect with others that are all hidden, or if the
-        diagnosis does not distinguish it from that effect alone.
-        """
+        """Whether the `i`-th named cause stands for the effect `hidden`."""
+        # It does if it is that effect, if it combines that effect with others that are all hidden, or if the
+        # diagnosis does not distinguish it from that effect alone.
         named = self.named[i]
         hidden = LISTED_SINCE.get(hidden, hidden)
         if hidden == named:

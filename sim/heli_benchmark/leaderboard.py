@@ -82,10 +82,8 @@ def _scores_of_method(scores: Sequence[CaseScore], weights: Floats) -> dict[str,
 
 
 def _skill(loss: Floats, base_loss: Floats, weights: Floats) -> Floats:
-    """Return 1 - (sum of the losses) / (sum of the losses of the base rates) in each resample.
-
-    Skill 1 is a perfect answer in each case, and 0 is no better than the base rates.
-    """
+    """Return 1 - (sum of the losses) / (sum of the losses of the base rates) in each resample."""
+    # Skill 1 is a perfect answer in each case, and 0 is no better than the base rates.
     return np.asarray(1.0 - weights @ loss / (weights @ base_loss))
 
 
@@ -148,10 +146,8 @@ def _clopper_pearson_interval(share: CaseSums) -> dict[str, float]:
 
 
 def _calibration(scores: Sequence[CaseScore], weights: Floats) -> dict[str, Any]:
-    """Return the mean difference of probability and frequency over bins, weighted by the number of names.
-
-    Almost all names of a case have a probability near 0, so the first bin is omitted.
-    """
+    """Return the mean difference of probability and frequency over bins, weighted by the number of names."""
+    # Almost all names of a case have a probability near 0, so the first bin is omitted.
     bins = len(_BINS) - 1
     excess, counts = np.zeros((len(scores), bins)), np.zeros((len(scores), bins))
     for case_index, case in enumerate(scores):

@@ -90,10 +90,9 @@ class Moment:
 
 
 class HiddenEffect:
-    """An effect that the rig has and the model lacks.
+    """An effect that the rig has and the model lacks."""
 
-    The plant calls each method below at its point of the simulation. A subclass overrides some of them.
-    """
+    # The plant calls each method below at its point of the simulation. A subclass overrides some of them.
 
     late: bool = False
     """Whether `thrust` acts after all other effects that change the thrust."""
@@ -227,10 +226,8 @@ class MujocoPlant:
         return np.asarray(data.qacc[self._v])
 
     def encoder_angles_rad(self, angles_rad: Floats) -> Floats:
-        """Return the angles that the encoders see for true `angles_rad`, shape (3,).
-
-        Call it once per millisecond, because play has a memory.
-        """
+        """Return the angles that the encoders see for true `angles_rad`, shape (3,)."""
+        # Call it once per millisecond, because play has a memory.
         encoder_rad = angles_rad + self._zeros_rad
         for effect in self.hidden:
             encoder_rad = effect.measured(encoder_rad)

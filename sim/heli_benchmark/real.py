@@ -173,10 +173,8 @@ def score(
 
 
 def _is_supported(name: str, reference: Mapping[str, Any]) -> bool:
-    """Whether the unchanged flights support an effect, although perhaps not enough to name it.
-
-    They do if its last refit, together with all named causes, gained more evidence than its penalty.
-    """
+    """Whether the unchanged flights support an effect, although perhaps not enough to name it."""
+    # They do if its last refit, together with all named causes, gained more evidence than its penalty.
     causes = {cause["effect"] for cause in reference["causes"]}
     rows = reference.get("ranking", ())
     last_named = max((row["round"] for row in rows if row["taken"] and row["candidate"] in causes), default=0)
@@ -194,10 +192,7 @@ def _stands_for(cause: Mapping[str, Any], names: tuple[str, ...]) -> bool:
 
 
 def _indistinguishable_names(cause: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the name of a cause, and all names that the diagnosis does not distinguish from it.
-
-    For example, after a small change of the data, a lag of the thrust may replace one of the rotor speed.
-    """
+    """Return the name of a cause, and all names that the diagnosis does not distinguish from it."""
     members = cause.get("family", {"members": ()})["members"]
     return (cause["effect"], *cause["ambiguous_with"], *members)
 
@@ -210,11 +205,9 @@ def _reference_size(reference: Mapping[str, Any], names: tuple[str, ...], t_s: F
 
 
 def _size_and_error(cause: Mapping[str, Any], t_s: Floats) -> tuple[float, float]:
-    """Return the size and the standard error of a cause, in the unit of `KnownEffect.size`.
-
-    The size of a fade is the share that is lost in the middle of the flight, because its two parameters, rate
-    and bend, compensate for each other.
-    """
+    """Return the size and the standard error of a cause, in the unit of `KnownEffect.size`."""
+    # The size of a fade is the share that is lost in the middle of the flight, because its two parameters,
+    # rate and bend, compensate for each other.
     name, parameters = cause["effect"], cause["parameters"]
 
     def value_and_std(suffix: str) -> tuple[float, float]:
@@ -240,10 +233,8 @@ def _size_and_error(cause: Mapping[str, Any], t_s: Floats) -> tuple[float, float
 def _true_size(
     effect: KnownEffect, name: str, result: Mapping[str, Any], volts_V: Floats, t_s: Floats, rig: Rig
 ) -> float:
-    """Return the true size of the hidden effect in the unit of the cause `name`.
-
-    An effect was hidden as a share of the voltage; most causes describe it as a share of the thrust.
-    """
+    """Return the true size of the hidden effect in the unit of the cause `name`."""
+    # An effect was hidden as a share of the voltage; most causes describe it as a share of the thrust.
     curve = steady_thrust(result, rig)
     if effect.id == "thrust_asymmetry":
         front = _thrust_variation_factor(curve, volts_V[:, 0], 1.0 + effect.size)
@@ -266,11 +257,9 @@ def _thrust_factor(curve: Curve, volts_V: Floats, volts_factor: float) -> float:
 
 
 def _thrust_variation_factor(curve: Curve, volts_V: Floats, volts_factor: float) -> float:
-    """Return the same factor for the deviations of the thrust from its mean.
-
-    A constant difference between the rotors is no sign of an asymmetry, because each flight has its own
-    constant torques.
-    """
+    """Return the same factor for the deviations of the thrust from its mean."""
+    # A constant difference between the rotors is no sign of an asymmetry, because each flight has its own
+    # constant torques.
     thrust = curve(volts_V)
     thrust = thrust - thrust.mean()
     return float(thrust @ curve(volts_factor * volts_V) / (thrust @ thrust))

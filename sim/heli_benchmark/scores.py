@@ -62,11 +62,9 @@ def true_errors(case: BenchmarkCase, truth: Mapping[str, Any]) -> Floats | None:
 
 
 def _true_rig(rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Rig:
-    """Rig whose thrust, with the model of the true causes, is that of the generator.
-
-    The generator multiplies the thrust by ``1 + s e`` at a voltage ``e`` above the dead zone. The model has
-    ``1 + q (e - 1)`` with ``q = s / (1 + s)``, so its gain must be ``1 + s = 1 / (1 - q)`` times as large.
-    """
+    """Rig whose thrust, with the model of the true causes, is that of the generator."""
+    # The generator multiplies the thrust by ``1 + s e`` at a voltage ``e`` above the dead zone. The model has
+    # ``1 + q (e - 1)`` with ``q = s / (1 + s)``, so its gain must be ``1 + s = 1 / (1 - q)`` times as large.
     if "thrust_quadratic" not in causes:
         return rig
     share = causes["thrust_quadratic"]["thrust_quadratic_share"]
@@ -131,10 +129,7 @@ def _rms_by_axis(errors: Sequence[Floats]) -> Floats | None:
 
 
 def _prediction_rows(flight: Flight) -> tuple[Floats, Integers, Integers]:
-    """Return the times of the steps of a flight, and the steps at which predictions start and end.
-
-    If the flight is too short, it has no prediction.
-    """
+    """Return the times of the steps of a flight, and the steps at which predictions start and end."""
     t_s = np.arange(flight.t_s[0], flight.t_s[-1] - 2.0 * _STEP_s, _STEP_s)
     horizon = round(HORIZON_s / _STEP_s)
     edge_steps = round(_WINDOW_s / _STEP_s)
@@ -200,9 +195,8 @@ class _OpenLoopPredictor:
         return np.asarray((end - start) / _STEP_s)
 
     def _all_states(self, angles: Floats, rates: Floats, volts: Floats, t_s: Floats) -> Floats:
-        """Return the state at each step, shape (n, states): measured angles and rates, then effects' states.
-
-        The states of the effects, such as lagged thrusts, are simulated along the measured motion.
+        """Return the state at each step, shape (n, states): measured angles and rates, then effects'
+        states.
         """
         states = np.zeros((len(t_s), self._states))
         states[:, :3], states[:, 3:6] = angles, rates

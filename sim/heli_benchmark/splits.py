@@ -61,10 +61,9 @@ class Seal:
         return hashlib.sha256(self.secret.encode()).hexdigest()
 
     def salt(self, case: str) -> str:
-        """Return random digits for the truth of a case.
-
-        Without them, anybody could hash all truths that a case may have until one agrees with its commitment.
-        """
+        """Return random digits for the truth of a case."""
+        # Without them, anybody could hash all truths that a case may have until one agrees with its
+        # commitment.
         return self._derived_key(f"salt of {case}")
 
     def _derived_key(self, purpose: str) -> str:
@@ -120,11 +119,9 @@ def make_split(
     workers: int = 1,
     say: Callable[[str, int], None] | None = None,
 ) -> None:
-    """Make a split; cases that exist are kept, so that an interrupted run continues.
-
-    An open split grows if `count` is larger than before. A sealed one does not, because its commitments are
-    complete.
-    """
+    """Make a split; cases that exist are kept, so that an interrupted run continues."""
+    # An open split grows if `count` is larger than before. A sealed one does not, because its commitments are
+    # complete.
     seal = draw if isinstance(draw, Seal) else None
     truth_folder = truth_folder or folder / "truth"
     if seal is not None and truth_folder.resolve().is_relative_to(folder.resolve()):

@@ -26,10 +26,7 @@ _MOST_BYTES: Final = 1 << 24
 
 
 def read_json(path: Path, remedy: str, keys: Sequence[str] = ()) -> dict[str, Any]:
-    """Read a JSON object.
-
-    `keys`: Keys that the object must have.
-    """
+    """Read a JSON object."""
     try:
         content = json.loads(read_file(path, _MOST_BYTES))
     except OSError as error:
@@ -297,10 +294,7 @@ def read_case(folder: Path, resources: Path | None = None) -> BenchmarkCase:
 
 
 def write_case(folder: Path, rig: Rig, training: tuple[Flight, ...], validation: tuple[Flight, ...]) -> None:
-    """Write the files of a case: six columns per flight, as CSV and as Parquet.
-
-    `folder`: Folder to write into; it must exist.
-    """
+    """Write the files of a case: six columns per flight, as CSV and as Parquet."""
     from heli_host.data.log.table import export_parquet
 
     write_rig(rig, folder / RIG_FILE)
@@ -437,10 +431,8 @@ def answer_content(answer: Answer) -> dict[str, Any]:
 def answer_with(
     causes: Causes, named: Mapping[str, float], parameters: Mapping[str, Estimate] | None = None
 ) -> dict[str, Any]:
-    """Return the content of an answer that gives probabilities for some causes only.
-
-    Other causes keep a share of their base rates: the less certain `named` is, the larger the share.
-    """
+    """Return the content of an answer that gives probabilities for some causes only."""
+    # Other causes keep a share of their base rates: the less certain `named` is, the larger the share.
     # Several causes may be hidden together: a certain cause halves the rates of the others, no more.
     certain = max((value for name, value in named.items() if name != NOTHING), default=0.0)
     share = (1.0 - 0.5 * certain) * (1.0 - named.get(NOTHING, 0.0))

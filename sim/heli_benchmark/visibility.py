@@ -108,10 +108,7 @@ def acts_by_itself(effect: HiddenEffect) -> bool:
 
 
 def true_torque_Nm(case: DisturbedCase, flight: int, duration_s: float) -> tuple[Floats, Floats]:
-    """Return times and torques of the hidden unlisted causes along a flight, shapes (n,) and (n, 3).
-
-    The torque is the difference of MuJoCo with and without them.
-    """
+    """Return times and torques of the hidden unlisted causes along a flight, shapes (n,) and (n, 3)."""
     trajectory = case.fly(flight, duration_s)[1]
     rig = case.rig()
     listed, unlisted = len(case.effects), len(case.unlisted)
@@ -239,10 +236,8 @@ class LinearisedRig:
         return np.asarray(np.einsum("nij,nj->ni", self._inertia, mean))
 
     def innovations(self, contributions: Sequence[CauseContribution]) -> Floats:
-        """Return the normalised innovations of `contributions`, shape (3 n, their number).
-
-        The error of the filter obeys a stable equation, so the unstable rig is not simulated.
-        """
+        """Return the normalised innovations of `contributions`, shape (3 n, their number)."""
+        # The error of the filter obeys a stable equation, so the unstable rig is not simulated.
         torques = np.stack([cause.torque_Nm for cause in contributions], axis=2)
         encoder_errors = np.stack([cause.encoder_error_rad for cause in contributions], axis=2)
         # States of the error: angles, rates, gusts and drift; the encoders measure the angles.

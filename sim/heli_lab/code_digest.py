@@ -19,10 +19,8 @@ _SUFFIXES: Final = (".py", ".toml", ".so", ".pyd", ".hpp", ".cpp", ".c", ".h")
 
 
 def code_digest(works: Iterable[str] = (), folder: str = "", packages: Iterable[str] = PACKAGES) -> str:
-    """Digest all files that can change a result, together with the version of Python; return 16 letters.
-
-    Compiled modules count, and so do their sources, which may be newer.
-    """
+    """Digest all files that can change a result, together with the version of Python; return 16 letters."""
+    # Compiled modules count, and so do their sources, which may be newer.
     packages = tuple(packages)
     modules = [work.partition(":")[0] for work in works]
     # The package of a module, or the module itself if it is in no package.

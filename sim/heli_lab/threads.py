@@ -26,11 +26,9 @@ must not start further ones."""
 
 
 def default_thread_count() -> int:
-    """Return the default number of threads: that of the `using_threads` block, or otherwise two.
-
-    Without such a block, it is one if ``OMP_NUM_THREADS`` is 1, because other processes then use the other
-    cores.
-    """
+    """Return the default number of threads: that of the `using_threads` block, or otherwise two."""
+    # Without such a block, it is one if ``OMP_NUM_THREADS`` is 1, because other processes then use the other
+    # cores.
     threads = _thread_count.get()
     if threads is not None:
         return threads
@@ -38,12 +36,11 @@ def default_thread_count() -> int:
 
 
 def limit_malloc_arenas() -> None:
-    """Make all threads share one heap, to save memory; only with the C library glibc.
-
-    By default, each thread has a heap, and memory that it frees cannot be used by other threads. With one
-    heap, the diagnosis of ten minutes at 1 kHz takes 0.49 GB instead of 0.58 GB, and that of one minute 0.19
-    GB instead of 0.27 GB. Only a program may call this function, not a library, before it starts threads.
-    """
+    """Make all threads share one heap, to save memory; only with the C library glibc."""
+    # By default, each thread has a heap, and memory that it frees cannot be used by other threads. With one
+    # heap, the diagnosis of ten minutes at 1 kHz takes 0.49 GB instead of 0.58 GB, and that of one minute
+    # 0.19 GB instead of 0.27 GB. Only a program may call this function, not a library, before it starts
+    # threads.
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).mallopt(_ARENA_MAX, 1)
 
@@ -78,10 +75,8 @@ def batches(items: Iterable[_Item], size_of: Callable[[_Item], int], max_size: i
 
 
 def parallel_map(work: Callable[[_Item], _T], items: Sequence[_Item], threads: int | None = None) -> list[_T]:
-    """Call `work` with each item in several threads, and return the results in the order of the items.
-
-    In a thread of such a map, a further map runs serially.
-    """
+    """Call `work` with each item in several threads, and return the results in the order of the items."""
+    # In a thread of such a map, a further map runs serially.
     threads = default_thread_count() if threads is None else threads
     if threads == 1 or len(items) < 2 or _thread_count.get() == 1:
         return [work(item) for item in items]

@@ -78,11 +78,10 @@ def run_motors(heli: Heli) -> None:
 
 
 class ZeroDuty:
-    """Notes when this host has seen the motors without voltage, after they ran.
+    """Notes when this host has seen the motors without voltage, after they ran."""
 
-    That is later than the moment itself by the rest of a batch, the line and the reading of it, 10 to 30 ms:
-    the number is an upper bound. The board's ticks say less where a loaded computer runs it in bursts.
-    """
+    # That is later than the moment itself by the rest of a batch, the line and the reading of it, 10 to 30
+    # ms: the number is an upper bound. The board's ticks say less where a loaded computer runs it in bursts.
 
     def __init__(self, heli: Heli) -> None:
         self._heli = heli

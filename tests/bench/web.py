@@ -87,10 +87,8 @@ def busy_s(browser: Browser) -> float:
 
 
 def speed(browser: Browser, page: Path, address: str, plan: str = "") -> tuple[float, float]:
-    """Fly a hover, or a plan that is recorded, as fast as possible.
-
-    Returns simulated seconds per second, and per second of the page's own processor time.
-    """
+    """Fly a hover, or a plan that is recorded, as fast as possible."""
+    # Returns simulated seconds per second, and per second of the page's own processor time.
     with opened(browser, page, address) as tab:
         if plan:
             tell(tab, {"text": json.dumps({"do": "fly", "id": "bench", "plans": [plan] * 80})})
@@ -167,10 +165,7 @@ def measure_web(say: Callable[[str], None]) -> list[Measured]:
 
 
 def hidden_lag(folder: Path) -> tuple[str, float, float]:
-    """Diagnose a lag of the rotors from two logs of the small host.
-
-    Returns the name of the first cause, its size and its standard error.
-    """
+    """Diagnose a lag of the rotors from two logs of the small host."""
     from heli_host.fly.plan import load_plan
     from heli_sim.rig import load_rig
     from heli_web.facts import page_facts

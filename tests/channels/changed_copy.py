@@ -57,11 +57,9 @@ class ChangedCopy:
         self.run(str(self.root / "firmware" / "generate.py"))
 
     def build(self, optimised: str = "-O0") -> None:
-        """Compile what the native board needs, at the least cost.
-
-        Unoptimised, which computes the same, and each library in one piece: 10 s of CPU instead of 34, most
-        of which are headers that every file of the bindings' library reads again.
-        """
+        """Compile what the native board needs, at the least cost."""
+        # Unoptimised, which computes the same, and each library in one piece: 10 s of CPU instead of 34, most
+        # of which are headers that every file of the bindings' library reads again.
         build = self.root / "build"
         cmake = shutil.which("cmake") or str(Path(sys.executable).with_name("cmake"))
         configure = [cmake, "-S", str(self.root), "-B", str(build), f"-DPython_EXECUTABLE={sys.executable}"]
@@ -87,11 +85,9 @@ class ChangedCopy:
         return self.root / "sim" / "heli_sim" / f"_native{suffix}"
 
     def run(self, *command: str) -> str:
-        """Run Python on the copy's packages: a script, or ``-c`` and a program; what it printed.
-
-        The installed packages hook themselves in by a file of site-packages; without the module `site` that
-        is not read, and the copy is what is found.
-        """
+        """Run Python on the copy's packages: a script, or ``-c`` and a program; what it printed."""
+        # The installed packages hook themselves in by a file of site-packages; without the module `site` that
+        # is not read, and the copy is what is found.
         process = subprocess.run(
             [sys.executable, "-S", *command],
             cwd=self.root,

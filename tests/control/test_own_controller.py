@@ -27,10 +27,8 @@ DIFFS: Final = re.findall(r"^```diff\n(.*?)^```$", README, re.MULTILINE | re.DOT
 
 
 def followed(root: Path) -> ChangedCopy:
-    """The sources with the steps done: the files in place, the lines in the file that names controllers.
-
-    Lines that are there already stay, and a reader's own controllers may be between the lines of the steps.
-    """
+    """The sources with the steps done: the files in place, the lines in the file that names controllers."""
+    # Lines that are there already stay, and a reader's own controllers may be between the lines of the steps.
     copy = ChangedCopy(root)
     for name in NAMED_BY_STEPS:
         shutil.copy(EXAMPLES / Path(name).name, copy.root / name)

@@ -49,19 +49,12 @@ _Key = TypeVar("_Key", str, int)
 
 @dataclass(frozen=True)
 class Case:
-    """Two flights in which effects are hidden.
+    """Two flights in which effects are hidden."""
 
-    Parameters
-    ----------
-    hidden : Mapping of str to Mapping of str to float
-        Values of each hidden effect's parameters, by id.
-    removed : str
-        Effect that is removed from the catalogue; empty for none.
-    seed : int
-        Seed of the first flight.
-    axis : str
-        Axis of the correlation time; empty for none.
-    """
+    # `hidden`: Values of each hidden effect's parameters, by id.
+    # `removed`: Effect that is removed from the catalogue; empty for none.
+    # `seed`: Seed of the first flight.
+    # `axis`: Axis of the correlation time; empty for none.
 
     hidden: Mapping[str, Mapping[str, float]]
     removed: str

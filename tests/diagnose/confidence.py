@@ -64,21 +64,13 @@ JUDGING: Final = range(9400, 9500)
 
 @dataclass(frozen=True)
 class Case:
-    """Two flights in which effects are hidden.
+    """Two flights in which effects are hidden."""
 
-    Parameters
-    ----------
-    seed : int
-        Seed of rig, effects and flights.
-    kind : str
-        One of `KINDS`.
-    hidden : Mapping of str to Mapping of str to float
-        Values of each hidden effect's parameters, by id.
-    removed : str
-        Effect that the catalogue lacks; empty for none.
-    disturbances : Mapping of str to Mapping of str to float
-        The same of the random torques.
-    """
+    # `seed`: Seed of rig, effects and flights.
+    # `kind`: One of `KINDS`.
+    # `hidden`: Values of each hidden effect's parameters, by id.
+    # `removed`: Effect that the catalogue lacks; empty for none.
+    # `disturbances`: The same of the random torques.
 
     seed: int
     kind: str

@@ -39,10 +39,8 @@ class Unlisted(Effect):
 def flights(
     *effects: str, unlisted: bool = False, seconds: tuple[float, float] = SHORT_S
 ) -> tuple[Flight, Flight]:
-    """Return a flight to fit and a held-out flight, both with the given effects.
-
-    `unlisted` adds an effect that the catalogue lacks; `seconds` are the durations.
-    """
+    """Return a flight to fit and a held-out flight, both with the given effects."""
+    # `unlisted` adds an effect that the catalogue lacks; `seconds` are the durations.
     name = f"hidden {effects} {unlisted} {seconds}"
     return KEPT(name, lambda: _flown(effects, unlisted, seconds), made_by=MADE_BY, rooms=FLOWN)
 

@@ -31,17 +31,11 @@ WHOLE_s: Final = (34.0, 26.0)
 
 @dataclass(frozen=True)
 class Case:
-    """A pair of flights in which something is hidden.
+    """A pair of flights in which something is hidden."""
 
-    Parameters
-    ----------
-    effects : tuple of str
-        As ``--effect`` has them.
-    durations_s : tuple of float
-        Flight to fit, held-out flight.
-    is_unlisted : bool
-        Whether a torque that no catalogue has is hidden too.
-    """
+    # `effects`: As ``--effect`` has them.
+    # `durations_s`: Flight to fit, held-out flight.
+    # `is_unlisted`: Whether a torque that no catalogue has is hidden too.
 
     effects: tuple[str, ...]
     durations_s: tuple[float, float] = SMALL_s

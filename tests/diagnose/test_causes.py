@@ -45,10 +45,8 @@ pytestmark = pytest.mark.diagnosis
 
 @cache
 def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
-    """Diagnose flights with hidden effects, once for all test files of this folder.
-
-    `unlisted` hides an effect that the catalogue lacks.
-    """
+    """Diagnose flights with hidden effects, once for all test files of this folder."""
+    # `unlisted` hides an effect that the catalogue lacks.
     fit, held_out = flights(*effects, unlisted=unlisted)
     return KEPT(
         f"diagnosed {effects} {unlisted} {SHORT_S}",

@@ -133,10 +133,8 @@ def on_table() -> Flight:
 
 
 def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> tuple[Ended, dict[str, Any]]:
-    """Run `heli-host diagnose`; return its output and its JSON.
-
-    `drawn` states whether it also writes the page, which takes two seconds.
-    """
+    """Run `heli-host diagnose`; return its output and its JSON."""
+    # `drawn` states whether it also writes the page, which takes two seconds.
     page = ("--report", "why") if drawn else ()
     result = terminal("diagnose", *arguments, "--json", "why.json", *page, "--save-rig", "found.toml")
     assert result.code == 0, result.err

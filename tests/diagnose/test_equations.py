@@ -492,19 +492,13 @@ PENALTY = 10.0
 
 
 def equivalent_effect(hidden: str, equation: Equation, *ids: str, unlisted: bool = False) -> list[str | None]:
-    """Return the effect that is equivalent to an `equation`, for several catalogues of a single effect each.
-
-    Parameters
-    ----------
-    hidden : str
-        Effect that is hidden in the flight.
-    equation : Equation
-        The proposed equation.
-    *ids : str
-        The only effect of each catalogue.
-    unlisted : bool
-        Whether an effect that no catalogue has is hidden too.
+    """Return the effect that is equivalent to an `equation`, for several catalogues of a single effect
+    each.
     """
+    # `hidden`: Effect that is hidden in the flight.
+    # `equation`: The proposed equation.
+    # `ids`: The only effect of each catalogue.
+    # `unlisted`: Whether an effect that no catalogue has is hidden too.
     rig = load_rig("makki2024")
     flight = flights(hidden, unlisted=unlisted)[0]
     comparison = ModelComparison(MultibodyModel(), rig, [prepare(flight, rig, "fit")], [])

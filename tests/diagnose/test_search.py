@@ -46,10 +46,8 @@ KINDS = catalogue()
 
 
 def dry_friction(resting: list[float], *, there: tuple[str, ...] = ()) -> list[str]:
-    """Return the ids of the dry frictions that are proposed if the axes rest for these shares of the time.
-
-    Each must start from its typical size. `there` has the ids of the model's causes.
-    """
+    """Return the ids of the dry frictions that are proposed if the axes rest for these shares of the time."""
+    # Each must start from its typical size. `there` has the ids of the model's causes.
     at_rest = np.arange(100)[:, None] < 100 * np.array(resting)
     reference = SimpleNamespace(at_rest=at_rest, rows=np.arange(100))
     screening = SimpleNamespace(
@@ -163,22 +161,13 @@ def eliminated(
     refitted: Sequence[str] = (),
     refused: Sequence[str] = (),
 ) -> dict[str, dict[str, float]]:
-    """Return the causes after the elimination, and the lead of each over its alternatives.
-
-    Parameters
-    ----------
-    gains : dict
-        Log-likelihood ratio of each effect on the fitted flights.
-    *causes : str
-        Causes that the selection ends with; each was accepted in a round that refitted the effects
-        `refitted` too.
-    held_out : dict, optional
-        The same as `gains` on the held-out flights.
-    refits_left : bool
-        Whether the limit of refits allows more.
-    refused : sequence of str
-        Effects that are not significant.
-    """
+    """Return the causes after the elimination, and the lead of each over its alternatives."""
+    # `gains`: Log-likelihood ratio of each effect on the fitted flights.
+    # `causes`: Causes that the selection ends with; each was accepted in a round that refitted the effects
+    # `refitted` too.
+    # `held_out`: The same as `gains` on the held-out flights.
+    # `refits_left`: Whether the limit of refits allows more.
+    # `refused`: Effects that are not significant.
 
     def refit(candidates: Sequence[Candidate], *_: object) -> Hypothesis:
         return hypothesis(candidates, gains)
@@ -527,10 +516,8 @@ def stepwise_hypothesis(*ids: str) -> Hypothesis:
 
 
 def searched(monkeypatch: pytest.MonkeyPatch, kept: list[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Return the causes, and where each selection began, if only the `kept` causes are needed.
-
-    The selection adds a play first; it hides a lag until held-out flights contradict it.
-    """
+    """Return the causes, and where each selection began, if only the `kept` causes are needed."""
+    # The selection adds a play first; it hides a lag until held-out flights contradict it.
     starts: list[str] = []
 
     def select(forward: Any, start: Hypothesis) -> tuple[Hypothesis, None, bool]:

@@ -431,11 +431,10 @@ def hypothesis(*ids: str, nats: float = 0.0) -> Hypothesis:
 
 
 class Scores:
-    """Stand-in for a screening of one set of flights, with given gains of the effects.
+    """Stand-in for a screening of one set of flights, with given gains of the effects."""
 
-    Each coefficient has a Fisher information of 1e6. The gain is score^2 / (2 information), which gives the
-    score.
-    """
+    # Each coefficient has a Fisher information of 1e6. The gain is score^2 / (2 information), which gives the
+    # score.
 
     gains: dict[str, float]
 
@@ -467,16 +466,10 @@ def explained(
     held_out: dict[str, float],
     used_s: float = 30.0,
 ) -> Any:
-    """Return the search with one more cause, or None.
-
-    Parameters
-    ----------
-    fitted, held_out : dict
-        Gain of each effect on the fitted and on the held-out flights, nats. Gains of opposite signs belong to
-        sizes of opposite signs.
-    used_s : float
-        Duration of the fitted flight.
-    """
+    """Return the search with one more cause, or None."""
+    # `fitted`, `held_out`: Gain of each effect on the fitted and on the held-out flights, nats. Gains of
+    # opposite signs belong to sizes of opposite signs.
+    # `used_s`: Duration of the fitted flight.
     # The screening of the refitted model is not used.
     monkeypatch.setattr(assessment, "Screening", lambda _: Scores({}))
     monkeypatch.setattr(assessment, "held_out_screening", lambda *_: Scores(held_out))

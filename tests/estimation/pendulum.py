@@ -26,10 +26,8 @@ from tests.running.kept import FLOWN, KEPT
 
 
 def log_density(values: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
-    """Logarithm of the density of N(0, covariance) at values, shape (n,).
-
-    scipy.stats has it, and takes a second of CPU to import.
-    """
+    """Logarithm of the density of N(0, covariance) at values, shape (n,)."""
+    # scipy.stats has it, and takes a second of CPU to import.
     log_determinant = np.linalg.slogdet(covariance)[1]
     squares = values @ np.linalg.solve(covariance, values)
     return float(-0.5 * (squares + log_determinant + len(values) * np.log(2.0 * np.pi)))
@@ -71,11 +69,9 @@ PARAMETERS = (*TRUE, "force_N", "torque_Nm")
 
 
 def accelerations(x: Any, motor_N: Any, p: Any, functions: Any = math) -> tuple[Any, Any]:
-    """Return the accelerations of cart and pendulum, from the equations of Lagrange.
-
-    The state `x` is position, angle, velocity and angular velocity. `functions` is ``math`` for numbers and
-    ``casadi`` for symbols.
-    """
+    """Return the accelerations of cart and pendulum, from the equations of Lagrange."""
+    # The state `x` is position, angle, velocity and angular velocity. `functions` is ``math`` for numbers and
+    # ``casadi`` for symbols.
     cart_kg, damping_Ns_m, length_m, pivot_Nms, force_N, torque_Nm = p
     _, angle, velocity, spin = x
     moment = PENDULUM_kg * length_m
@@ -124,10 +120,8 @@ class Run:
 
 
 def run(seed: int, seconds: float = 20.0) -> Run:
-    """Simulate a recording: a multisine and disturbances move the cart, and two encoders are read.
-
-    The disturbances are first-order Gauss-Markov processes with a correlation time of 0.25 s.
-    """
+    """Simulate a recording: a multisine and disturbances move the cart, and two encoders are read."""
+    # The disturbances are first-order Gauss-Markov processes with a correlation time of 0.25 s.
     rng, count = np.random.default_rng(seed), round(seconds / STEP_s)
     t_s = np.asarray(np.arange(count) * STEP_s, float)
     frequencies, phases = 2 * np.pi * np.linspace(0.1, 2.5, 12), rng.uniform(0, 2 * np.pi, 12)

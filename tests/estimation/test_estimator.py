@@ -230,11 +230,9 @@ MAXIMUM = DisturbanceModel(
 
 
 def likelihoods(models: Sequence[DisturbanceModel]) -> Floats:
-    """Return quadratic log-likelihoods of two outputs, shape (models, 2).
-
-    The likelihood of an output is largest at the `MAXIMUM` of its own four parameters. The two parameters of
-    the gain change both likelihoods by opposite amounts; only the sum is largest at the `MAXIMUM`.
-    """
+    """Return quadratic log-likelihoods of two outputs, shape (models, 2)."""
+    # The likelihood of an output is largest at the `MAXIMUM` of its own four parameters. The two parameters
+    # of the gain change both likelihoods by opposite amounts; only the sum is largest at the `MAXIMUM`.
     values = []
     for model in models:
         distances = model.logarithms - MAXIMUM.logarithms

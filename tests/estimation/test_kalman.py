@@ -25,19 +25,13 @@ INITIAL_STD = np.array([0.3, 2.0, 0.1, 1.0])
 
 @dataclass(frozen=True)
 class System:
-    """A random time-varying linear system with disturbance torques, whose steps consist of `PARTS` parts.
+    """A random time-varying linear system with disturbance torques, whose steps consist of `PARTS` parts."""
 
-    Parameters
-    ----------
-    transition : ndarray (STEPS, STATES, STATES)
-        State after a step by state before it.
-    part_input : ndarray (PARTS, STEPS, STATES, inputs)
-        State after a step by a torque in each of its parts; a fast and a slow torque act on each input.
-    measurement : ndarray (STEPS, 3, STATES)
-        Outputs by state.
-    variance : ndarray (STEPS, 3)
-        Variance of the measurement noise; 0 if an output is not measured.
-    """
+    # `transition` (STEPS, STATES, STATES): State after a step by state before it.
+    # `part_input` (PARTS, STEPS, STATES, inputs): State after a step by a torque in each of its parts; a fast
+    # and a slow torque act on each input.
+    # `measurement` (STEPS, 3, STATES): Outputs by state.
+    # `variance` (STEPS, 3): Variance of the measurement noise; 0 if an output is not measured.
 
     transition: Floats
     part_input: Floats
@@ -58,11 +52,12 @@ class System:
         )
 
     def dense(self) -> tuple[Floats, Floats]:
-        """Return states with torques, and outputs, of all steps as linear maps of independent unit normals.
-
-        The rows are those of the steps, one step after the other. The columns are the independent variables:
-        initial states and torques, `TORQUES` torque innovations per step, and 3 measurement noises per step.
+        """Return states with torques, and outputs, of all steps as linear maps of independent unit
+        normals.
         """
+        # The rows are those of the steps, one step after the other. The columns are the independent
+        # variables: initial states and torques, `TORQUES` torque innovations per step, and 3 measurement
+        # noises per step.
         width = ORDER + TORQUES * STEPS + 3 * STEPS
         state = np.zeros((ORDER, width))
         state[range(ORDER), range(ORDER)] = np.concatenate((INITIAL_STD, TORQUE_STD))

@@ -185,11 +185,9 @@ def test_measurements_within_one_crossing_of_a_play_count_as_one() -> None:
 
 
 def _log_likelihood_loss_by_noise(linear: LinearisedFlight, filtered: InnovationsModel) -> Floats:
-    """Return the loss of each axis' log-likelihood, shape (3,), if encoder noise has e times the variance.
-
-    This counts independent encoder errors. The measurements are zero, and the noise is so large that it alone
-    determines the likelihood. Each independent error then loses log(e) / 2, which is half a nat.
-    """
+    """Return the loss of each axis' log-likelihood, shape (3,), if encoder noise has e times the variance."""
+    # This counts independent encoder errors. The measurements are zero, and the noise is so large that it
+    # alone determines the likelihood. Each independent error then loses log(e) / 2, which is half a nat.
     no_measurements = [
         (np.zeros_like(blocks.drive[:, :, :1]), np.zeros_like(blocks.measured[:, :, :1]))
         for blocks in linear.blocks

@@ -31,11 +31,10 @@ class Guess:
 
 
 class Rosenbrock:
-    """The function of Rosenbrock, a curved valley with its minimum at (1, 1), as a least-squares problem.
+    """The function of Rosenbrock, a curved valley with its minimum at (1, 1), as a least-squares problem."""
 
-    A full Gauss-Newton step from the start (-1.2, 1) increases the cost, so steps must be damped. `high` is
-    an upper bound of x.
-    """
+    # A full Gauss-Newton step from the start (-1.2, 1) increases the cost, so steps must be damped. `high` is
+    # an upper bound of x.
 
     def __init__(self, max_evaluations: int = 1000, high: float = np.inf) -> None:
         # Priors so wide that they hardly move the minimum.
@@ -138,10 +137,8 @@ def test_optimum_within_bounds_is_that_of_scipy(size: int, seed: int) -> None:
 
 
 def random_system(flights: int, shared: int, per_flight: int, seed: int) -> tuple[Floats, list[Integers]]:
-    """Make the information matrix of several flights, and the columns of the unknowns of each flight.
-
-    All flights depend on `shared` unknowns, and each on `per_flight` unknowns that no other flight has.
-    """
+    """Make the information matrix of several flights, and the columns of the unknowns of each flight."""
+    # All flights depend on `shared` unknowns, and each on `per_flight` unknowns that no other flight has.
     random = np.random.default_rng(seed)
     size = shared + flights * per_flight
     # Shared and per-flight unknowns are in any order.

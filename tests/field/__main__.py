@@ -19,20 +19,7 @@ from tests.running.alone import one_thread_each
 
 
 def main(arguments: Sequence[str] | None = None, data: Path = DATA) -> int:
-    """Ask and print.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Instead of the command line's.
-    data : Path
-        The folder with the cases.
-
-    Returns
-    -------
-    int
-        Exit status: 0 when all are right, or there are none; 1 when one is not; 2 when none has such a name.
-    """
+    """Ask and print."""
     parser = argparse.ArgumentParser(prog="python -m tests.field", description=__doc__)
     parser.add_argument("only", nargs="*", help="names of cases, wildcards allowed; all without")
     parser.add_argument("--budget", type=int, default=REFITS, help="most refits of a search")

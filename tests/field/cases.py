@@ -33,17 +33,11 @@ LAW_UNTOLD: Final = frozenset({"ground_effect"})
 
 @dataclass(frozen=True)
 class Case:
-    """Two flights and what is hidden in them.
+    """Two flights and what is hidden in them."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where they are.
-    hidden : tuple of str
-        Ids of what is hidden; `UNKNOWN` for a law that is on no list.
-    sizes : Mapping[str, float]
-        ParameterValues of the truth file by id; ``at`` is when a step comes, s.
-    """
+    # `folder`: Where they are.
+    # `hidden`: Ids of what is hidden; `UNKNOWN` for a law that is on no list.
+    # `sizes`: ParameterValues of the truth file by id; ``at`` is when a step comes, s.
 
     folder: Path
     hidden: tuple[str, ...]
@@ -88,23 +82,14 @@ class Case:
 
 @dataclass(frozen=True)
 class Judged:
-    """A diagnosis of a case, compared with the truth.
+    """A diagnosis of a case, compared with the truth."""
 
-    Parameters
-    ----------
-    case : Case
-        The case.
-    verdict : str
-        The verdict given; ``died`` where there is none.
-    named : tuple of (str, float)
-        Causes and their confidence.
-    numbers : Mapping[str, tuple]
-        Value and standard error of each number found of what is hidden, and the truth.
-    cpu_s : float
-        CPU time.
-    failure : str
-        Error that ended it.
-    """
+    # `case`: The case.
+    # `verdict`: The verdict given; ``died`` where there is none.
+    # `named`: Causes and their confidence.
+    # `numbers`: Value and standard error of each number found of what is hidden, and the truth.
+    # `cpu_s`: CPU time.
+    # `failure`: Error that ended it.
 
     case: Case
     verdict: str
@@ -159,53 +144,25 @@ class Judged:
 
 
 def cases(data: Path = DATA) -> list[Case]:
-    """All that are there: practice first, then field.
-
-    Parameters
-    ----------
-    data : Path
-        The folder that holds both.
-    """
+    """All that are there: practice first, then field."""
     files = [path for kind in ("practice", "field") for path in sorted((data / kind).glob("*/truth.toml"))]
     return [read(path) for path in files]
 
 
 def read(path: Path) -> Case:
-    """Read a truth file.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its folder holds the flights.
-    """
+    """Read a truth file."""
     text = path.read_text()
     sizes = {name: float(value) for name, value in _NUMBER.findall(text)}
     return Case(path.parent, tuple(tomllib.loads(text)["hidden"]), sizes)
 
 
 def ask(case: Case, refits: int) -> dict[str, Any]:
-    """Diagnose a case.
-
-    Parameters
-    ----------
-    case : Case
-        The case.
-    refits : int
-        Most seconds for the search.
-    """
+    """Diagnose a case."""
     return timed_diagnosis(load_rig(RIG), case.flights(), refits)
 
 
 def judged(case: Case, answer: Mapping[str, Any]) -> Judged:
-    """Compare an answer with the truth.
-
-    Parameters
-    ----------
-    case : Case
-        The case.
-    answer : Mapping[str, Any]
-        As `heli_benchmark.runs.case.timed_diagnosis` gives it.
-    """
+    """Compare an answer with the truth."""
     result = answer["result"] or {"verdict": "died", "causes": []}
     estimates: dict[str, Any] = {}
     for cause in result["causes"]:

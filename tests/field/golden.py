@@ -39,18 +39,9 @@ RATIO: Final = 0.01
 
 
 def golden_result(result: Mapping[str, Any]) -> dict[str, Any]:
-    """Reduce a diagnosis to what must stay the same.
-
-    Parameters
-    ----------
-    result : Mapping
-        A diagnosis as JSON.
-
-    Returns
-    -------
-    dict
-        ``verdict``, ``causes`` by effect, and ``error_ratios`` by horizon (s) and axis.
-    """
+    """Reduce a diagnosis to what must stay the same."""
+    # `result`: A diagnosis as JSON.
+    # Returns: ``verdict``, ``causes`` by effect, and ``error_ratios`` by horizon (s) and axis.
     causes = {
         cause["effect"]: {
             "confidence": cause["confidence"],
@@ -70,18 +61,9 @@ def golden_result(result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def differences(golden: Mapping[str, Any], result: Mapping[str, Any]) -> Iterator[str]:
-    """Compare a result with the golden one, both as `golden_result` reduces them.
-
-    Parameters
-    ----------
-    golden, result : Mapping
-        The recorded and the new result.
-
-    Yields
-    ------
-    str
-        One line for each difference beyond the tolerances.
-    """
+    """Compare a result with the golden one, both as `golden_result` reduces them."""
+    # `golden`, `result`: The recorded and the new result.
+    # Yields: One line for each difference beyond the tolerances.
     if golden["verdict"] != result["verdict"]:
         yield f"verdict {result['verdict']}, was {golden['verdict']}"
     if list(golden["causes"]) != list(result["causes"]):
@@ -139,18 +121,7 @@ def _measured(pair: str, *, exchanged: bool) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Diagnose and compare, or record.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Instead of the command line's.
-
-    Returns
-    -------
-    int
-        Exit status: 1 when a result differs.
-    """
+    """Diagnose and compare, or record."""
     parser = argparse.ArgumentParser(prog="python -m tests.field.golden", description=__doc__)
     parser.add_argument("patterns", nargs="*", default=["*"], help="names of cases, wildcards allowed")
     parser.add_argument("--record", action="store_true", help="write the results into golden.json")

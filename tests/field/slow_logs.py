@@ -61,23 +61,14 @@ SIZE_STD: Final = 3.0
 
 @dataclass(frozen=True)
 class SlowLog:
-    """A rig with a cause or none, and how its flights are logged.
+    """A rig with a cause or none, and how its flights are logged."""
 
-    Parameters
-    ----------
-    seed : int
-        Seed of rig and flights.
-    cause : str
-        Id of the cause; empty if there is none.
-    size : float
-        Size of the cause, in the unit of the catalogue.
-    gusts : float
-        Strength of the gusts, as a share of moderate ones.
-    filters : float
-        Factor of the cut-off frequencies of the board's rate filters.
-    thinning : int
-        The log has one of so many rows.
-    """
+    # `seed`: Seed of rig and flights.
+    # `cause`: Id of the cause; empty if there is none.
+    # `size`: Size of the cause, in the unit of the catalogue.
+    # `gusts`: Strength of the gusts, as a share of moderate ones.
+    # `filters`: Factor of the cut-off frequencies of the board's rate filters.
+    # `thinning`: The log has one of so many rows.
 
     seed: int
     cause: str
@@ -161,18 +152,7 @@ def outcome(case: SlowLog, result: Mapping[str, Any]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Diagnose the cases, and print one row per case and the counts.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Instead of the command line's.
-
-    Returns
-    -------
-    int
-        Exit status: 1 when a result is not right.
-    """
+    """Diagnose the cases, and print one row per case and the counts."""
     parser = argparse.ArgumentParser(prog="python -m tests.field.slow_logs", description=__doc__)
     parser.add_argument("seeds", nargs="*", type=int, default=list(range(9000, 9006)))
     options = parser.parse_args(arguments)

@@ -301,10 +301,8 @@ def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(heli: Heli
 
 
 def test_answers_that_wait_for_the_line_overwrite_nothing_that_is_being_sent(board: Board) -> None:
-    """Sixty questions with answers of 200 bytes: six times what the transmit ring holds.
-
-    A board that has no room drops an answer, and the host asks again; what the board does send is whole.
-    """
+    """Sixty questions with answers of 200 bytes: six times what the transmit ring holds."""
+    # A board that has no room drops an answer, and the host asks again; what the board does send is whole.
     board.advance(20)
     parser = FrameParser()
     sent_values = [

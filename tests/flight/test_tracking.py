@@ -144,10 +144,8 @@ def test_a_travel_that_does_not_count_while_the_arm_tilts_is_landed_without_it_a
 
 
 def balanced() -> Harness:
-    """A board that flies level, in a test that holds elevation and pitch itself: only travel is watched.
-
-    Pitch, which the test holds, cannot tilt to ask travel.
-    """
+    """A board that flies level, in a test that holds elevation and pitch itself: only travel is watched."""
+    # Pitch, which the test holds, cannot tilt to ask travel.
     harness = Harness(tracked=True)
     harness.set("travel_silence_s", 0.0)
     for name in ("elevation_motion_V", "pitch_motion_V"):

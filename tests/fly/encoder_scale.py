@@ -60,15 +60,11 @@ WRONG_SUPPLY_V: Final = (15.0, 18.0, 24.0)
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight: its outcome, the estimates, the axis of the warning, and what the warning blames.
+    """A flight: its outcome, the estimates, the axis of the warning, and what the warning blames."""
 
-    Parameters
-    ----------
-    warned : ScaleEstimate or None
-        Scale that differs from 1; None without a warning.
-    names_encoder : bool
-        Whether the warning names the encoder; otherwise, something else explains the flight as well.
-    """
+    # `warned`: Scale that differs from 1; None without a warning.
+    # `names_encoder`: Whether the warning names the encoder; otherwise, something else explains the flight as
+    # well.
 
     outcome: str
     estimates: tuple[ScaleEstimate, ...]
@@ -125,10 +121,8 @@ def judged(plan: str, seed: int, axis: int = 0, scale: float = 1.0) -> Flown | N
 
 
 def distance_from_one(estimate: ScaleEstimate) -> float:
-    """Distance of a scale from 1, in standard errors, or by its likelihood if that is less.
-
-    A scale near 0 has a small error, and is not more likely than 1.
-    """
+    """Distance of a scale from 1, in standard errors, or by its likelihood if that is less."""
+    # A scale near 0 has a small error, and is not more likely than 1.
     return min(estimate.sigmas, math.sqrt(2.0 * max(estimate.nats, 0.0)))
 
 

@@ -37,26 +37,15 @@ class KilledError(BaseException):
 
 
 class Struck:
-    """A world to which something happens.
+    """A world to which something happens."""
 
-    Parameters
-    ----------
-    world : SilWorld
-        From now on it passes a millisecond at a time, from `at_tick` on.
-    at_tick : int
-        When it happens, ms since the simulation started.
-    blow : callable taking Struck and int, or None
-        What happens: called before every millisecond from `at_tick` on, with how many have passed since.
-
-    Attributes
-    ----------
-    states : list of EventMessage
-        Changes of state that the board reported.
-    last_on_tick : int
-        Newest millisecond in which a motor had a voltage.
-    disk_full : bool
-        Whether the log's disk takes nothing more.
-    """
+    # `world`: From now on it passes a millisecond at a time, from `at_tick` on.
+    # `at_tick`: When it happens, ms since the simulation started.
+    # `blow`: What happens: called before every millisecond from `at_tick` on, with how many have passed
+    # since.
+    # `states`: Changes of state that the board reported.
+    # `last_on_tick`: Newest millisecond in which a motor had a voltage.
+    # `disk_full`: Whether the log's disk takes nothing more.
 
     def __init__(
         self, world: SilWorld, at_tick: int, blow: Callable[[Struck, int], bytes | None] | None
@@ -122,29 +111,17 @@ Blow = Callable[[Struck, int], bytes | None]
 
 @dataclass(frozen=True)
 class Case:
-    """Something that fails in a flight.
+    """Something that fails in a flight."""
 
-    Parameters
-    ----------
-    what : str
-        The first column of the table.
-    says : str
-        Words that the outcome of the flight must contain.
-    within_s : float
-        Bound of the time until the board acts; 0 where it has nothing to do.
-    at_s : float
-        When, simulated seconds; 0 for before take-off.
-    options : str
-        Options in the address of the simulated board, where these cause the failure.
-    blow : callable, optional
-        What does it otherwise, as `Struck` takes it.
-    plan : Plan or str
-        What is flown.
-    due_only : bool
-        Whether only the emulated Due has what fails.
-    as_if : str or None
-        Case with the same behaviour of the board, which nobody can observe here.
-    """
+    # `what`: The first column of the table.
+    # `says`: Words that the outcome of the flight must contain.
+    # `within_s`: Bound of the time until the board acts; 0 where it has nothing to do.
+    # `at_s`: When, simulated seconds; 0 for before take-off.
+    # `options`: Options in the address of the simulated board, where these cause the failure.
+    # `blow`: What does it otherwise, as `Struck` takes it.
+    # `plan`: What is flown.
+    # `due_only`: Whether only the emulated Due has what fails.
+    # `as_if`: Case with the same behaviour of the board, which nobody can observe here.
 
     what: str
     says: str
@@ -159,24 +136,15 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How such a flight went.
+    """How such a flight went."""
 
-    Parameters
-    ----------
-    says : str
-        Report of the host; empty for a host that was killed.
-    acted_s : float
-        From the fault, or from closing the loops, until the board cut the motors or went to another state; 0
-        where it did neither.
-    off_s : float
-        The same until the motors were off, or the time they ran on where the flight was not ended.
-    does : str
-        Behaviour of the board in words.
-    volts_V : list of float
-        On the motors long after.
-    state : int
-        Newest state that the board reported.
-    """
+    # `says`: Report of the host; empty for a host that was killed.
+    # `acted_s`: From the fault, or from closing the loops, until the board cut the motors or went to another
+    # state; 0 where it did neither.
+    # `off_s`: The same until the motors were off, or the time they ran on where the flight was not ended.
+    # `does`: Behaviour of the board in words.
+    # `volts_V`: On the motors long after.
+    # `state`: Newest state that the board reported.
 
     says: str
     acted_s: float
@@ -187,15 +155,7 @@ class Outcome:
 
 
 def flown(case: Case, board: str = "native", elf: str = "") -> Outcome:
-    """Fly a case in lockstep.
-
-    Parameters
-    ----------
-    board : str
-        ``native`` or ``due``.
-    elf : str
-        Flight code of the emulated Due; empty for the newest.
-    """
+    """Fly a case in lockstep."""
     summary = None
     options = filter(None, (f"board={board}", f"elf={elf}" if elf else "", case.options))
     with connect(f"sil://?seed=1&speed=max&{'&'.join(options)}") as heli:

@@ -43,19 +43,12 @@ _INERTIA_kg_m2: Final = 0.8195
 
 @dataclass(frozen=True)
 class Flown:
-    """A rig of the sweep.
+    """A rig of the sweep."""
 
-    Parameters
-    ----------
-    rig : str
-        Its name.
-    gains : str
-        File of `GAINS`, made by ``heli-host tune``; empty for the board's own gains.
-    effects : str
-        Effects of the simulation, separated by semicolons.
-    pull_rad_s2 : float
-        Constant travel torque, as an acceleration.
-    """
+    # `rig`: Its name.
+    # `gains`: File of `GAINS`, made by ``heli-host tune``; empty for the board's own gains.
+    # `effects`: Effects of the simulation, separated by semicolons.
+    # `pull_rad_s2`: Constant travel torque, as an acceleration.
 
     rig: str = "makki2024"
     gains: str = ""
@@ -105,19 +98,12 @@ PLANS: Final[Mapping[str, Plan]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """What fails, on which rig, in which plan, and when.
+    """What fails, on which rig, in which plan, and when."""
 
-    Parameters
-    ----------
-    rig, plan : str
-        Names in `HEALTHY` and `PLANS`.
-    kind : str
-        An axis whose encoder's plug falls off, ``supply``, or empty when nothing fails.
-    at_s : float
-        Simulated time of the fault.
-    seed : int
-        Seed of the simulation.
-    """
+    # `rig`, `plan`: Names in `HEALTHY` and `PLANS`.
+    # `kind`: An axis whose encoder's plug falls off, ``supply``, or empty when nothing fails.
+    # `at_s`: Simulated time of the fault.
+    # `seed`: Seed of the simulation.
 
     rig: str
     plan: str
@@ -128,22 +114,15 @@ class Case:
 
 @dataclass(frozen=True)
 class Seen:
-    """Report of the board, and true position of the arm.
+    """Report of the board, and true position of the arm."""
 
-    Parameters
-    ----------
-    case : Case
-        Plan and rig of the flight.
-    outcome : str
-        As the host reported it.
-    acted_s : float
-        From the fault until the board reported one; infinite if it never did.
-    away_deg : float
-        Largest error of the axis between fault and report, true angle less setpoint; with elevation
-        and pitch over the whole range, as their setpoints follow the dead reading.
-    stop : bool
-        Whether elevation, pitch or travel touched a stop of the rig before the report; the table is none.
-    """
+    # `case`: Plan and rig of the flight.
+    # `outcome`: As the host reported it.
+    # `acted_s`: From the fault until the board reported one; infinite if it never did.
+    # `away_deg`: Largest error of the axis between fault and report, true angle less setpoint; with elevation
+    # and pitch over the whole range, as their setpoints follow the dead reading.
+    # `stop`: Whether elevation, pitch or travel touched a stop of the rig before the report; the table is
+    # none.
 
     case: Case
     outcome: str
@@ -172,15 +151,7 @@ def swept(kind: str, count: int, seed: int = 29) -> Iterator[Case]:
 
 
 def flown(case: Case, board: str = "native", elf: str = "") -> Seen:
-    """Fly a case in lockstep, and compare what the board reported with the true state.
-
-    Parameters
-    ----------
-    board : str
-        ``native`` or ``due``.
-    elf : str
-        Flight code of the emulated Due; empty for the newest.
-    """
+    """Fly a case in lockstep, and compare what the board reported with the true state."""
     with tempfile.TemporaryDirectory() as folder:
         return _flown(case, HEALTHY[case.rig], Path(folder) / "rig.toml", board, elf)
 
@@ -280,15 +251,7 @@ def row(kind: str, seen: Sequence[Seen]) -> str:
 
 
 def false_alarms(count: int, seed: int = 0) -> Iterator[Seen]:
-    """Fly healthy rigs, every rig and plan in turn, and yield what came of each.
-
-    Parameters
-    ----------
-    count : int
-        How many flights.
-    seed : int
-        Seed of the first pass over rigs and plans; later passes count on.
-    """
+    """Fly healthy rigs, every rig and plan in turn, and yield what came of each."""
     pairs = list(itertools.product(HEALTHY, PLANS))
     for number in range(count):
         rig, plan = pairs[number % len(pairs)]

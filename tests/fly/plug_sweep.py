@@ -48,25 +48,15 @@ SIGNS: Final = {
 
 @dataclass(frozen=True)
 class Case:
-    """A flight in which an encoder loses its zero, or its sign is wrong.
+    """A flight in which an encoder loses its zero, or its sign is wrong."""
 
-    Parameters
-    ----------
-    plan : str
-        A name in `fault_sweep.PLANS`.
-    options : str
-        Options of the simulated board; empty without any.
-    axis : int
-        The axis whose count jumps; no jump if negative.
-    jump_deg : float
-        Change of its reading.
-    at_s : float
-        Simulated time of the jump.
-    seed : int
-        Seed of the simulation.
-    rig : Rig or None
-        The simulated rig; the paper's if None.
-    """
+    # `plan`: A name in `fault_sweep.PLANS`.
+    # `options`: Options of the simulated board; empty without any.
+    # `axis`: The axis whose count jumps; no jump if negative.
+    # `jump_deg`: Change of its reading.
+    # `at_s`: Simulated time of the jump.
+    # `seed`: Seed of the simulation.
+    # `rig`: The simulated rig; the paper's if None.
 
     plan: str
     options: str = ""
@@ -79,25 +69,16 @@ class Case:
 
 @dataclass(frozen=True)
 class Flown:
-    """Outcome and true motion of such a flight.
+    """Outcome and true motion of such a flight."""
 
-    Parameters
-    ----------
-    outcome : str
-        As the host reported it.
-    wrong_deg : ndarray, shape (3,)
-        Error of each axis' reading at the end of the closed loop: true angle less reading [deg].
-    drop_deg : float
-        How far the arm fell after the motors had their last voltage [deg].
-    tilt_deg : float
-        Largest true pitch in the flight [deg].
-    travel_deg : float
-        Largest true travel in the flight [deg].
-    closed_s : float
-        From the closing of the loops until the first fault; infinite without one.
-    most_V : float
-        Largest sum of both voltages before the first fault.
-    """
+    # `outcome`: As the host reported it.
+    # `wrong_deg` (3,): Error of each axis' reading at the end of the closed loop: true angle less reading
+    # [deg].
+    # `drop_deg`: How far the arm fell after the motors had their last voltage [deg].
+    # `tilt_deg`: Largest true pitch in the flight [deg].
+    # `travel_deg`: Largest true travel in the flight [deg].
+    # `closed_s`: From the closing of the loops until the first fault; infinite without one.
+    # `most_V`: Largest sum of both voltages before the first fault.
 
     outcome: str
     wrong_deg: npt.NDArray[np.float64]

@@ -38,16 +38,11 @@ PATIENCE_S = 60.0
 
 
 class BlockingDisk:
-    """A disk that blocks in simulated time, which only the thread that flies lets pass.
+    """A disk that blocks in simulated time, which only the thread that flies lets pass."""
 
-    That thread flies on while the disk blocks. Otherwise it waits until the thread of the log has written
-    everything: how late the machine runs that thread changes nothing.
-
-    Parameters
-    ----------
-    device_s : callable
-        Simulated time [s].
-    """
+    # That thread flies on while the disk blocks. Otherwise it waits until the thread of the log has written
+    # everything: how late the machine runs that thread changes nothing.
+    # `device_s`: Simulated time [s].
 
     def __init__(self, device_s: Callable[[], float]) -> None:
         self.due = dict(BLOCKS_S)

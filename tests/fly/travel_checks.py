@@ -21,20 +21,10 @@ _ELEVATION_deg, _TRAVEL_deg = 4.4, -9.2
 
 
 def hovers(effect: str, seed: int, silence_s: float | None = None) -> tuple[float, float, int]:
-    """Hover, and return what travel did after it had settled.
-
-    Parameters
-    ----------
-    effect : str
-        End of the address of the simulated board.
-    silence_s : float, optional
-        The parameter `travel_silence_s`; by default the board's own.
-
-    Returns
-    -------
-    tuple
-        Mean square and largest magnitude of the error of travel [deg2, deg], and number of checks.
-    """
+    """Hover, and return what travel did after it had settled."""
+    # `effect`: End of the address of the simulated board.
+    # `silence_s`: The parameter `travel_silence_s`; by default the board's own.
+    # Returns: Mean square and largest magnitude of the error of travel [deg2, deg], and number of checks.
     events: list[Any] = []
     with heli_host.connect(f"sil://?seed={seed}{effect}") as heli:
         if silence_s is not None:

@@ -38,33 +38,19 @@ RATES_Hz: Final = (50.0, 100.0, 125.0, 200.0, 250.0, 500.0, 1000.0)
 
 @dataclass(frozen=True)
 class Distortion:
-    """What is done to a flight.
+    """What is done to a flight."""
 
-    Parameters
-    ----------
-    names : str
-        Key of `NAMES`.
-    angle, voltage, time : str
-        Units.
-    stated : bool
-        Whether names say the unit.
-    signs : tuple of float
-        Signs of elevation, pitch and travel.
-    swapped : bool
-        Motors exchanged under the same names.
-    summed : bool
-        Sum and difference in place of the motors.
-    rate_Hz : float
-        Rows a second.
-    late : tuple of (str, float)
-        Which column is late, and by how much, s; empty and 0 where none is.
-    at_rest : bool
-        Elevation is 0 where the flight begins, not at level.
-    comma : bool
-        Decimal commas.
-    others : int
-        Columns that are something else.
-    """
+    # `names`: Key of `NAMES`.
+    # `angle`, `voltage`, `time`: Units.
+    # `stated`: Whether names say the unit.
+    # `signs`: Signs of elevation, pitch and travel.
+    # `swapped`: Motors exchanged under the same names.
+    # `summed`: Sum and difference in place of the motors.
+    # `rate_Hz`: Rows a second.
+    # `late`: Which column is late, and by how much, s; empty and 0 where none is.
+    # `at_rest`: Elevation is 0 where the flight begins, not at level.
+    # `comma`: Decimal commas.
+    # `others`: Columns that are something else.
 
     names: str
     angle: str
@@ -126,13 +112,8 @@ def draw_distortion(seed: int) -> Distortion:
 
 
 def write(flight: Flight, rig: Rig, how: Distortion, path: Path, seed: int = 0) -> Flight:
-    """Write a flight, distorted.
-
-    Returns
-    -------
-    Flight
-        The truth at the rate written: what a right profile makes of the file, delays and all.
-    """
+    """Write a flight, distorted."""
+    # Returns: The truth at the rate written: what a right profile makes of the file, delays and all.
     step_s = 1.0 / how.rate_Hz
     t_s = np.arange(flight.t_s[0], flight.t_s[-1], step_s)
     place = np.clip(np.searchsorted(flight.t_s, t_s + 1e-9, side="right") - 1, 0, None)
@@ -211,15 +192,10 @@ _MAX_LATE_s = {"travel": 0.14, "elevation": 0.22, "voltages": 0.25}
 
 @dataclass(frozen=True)
 class FileVerdict:
-    """Result of a file.
+    """Result of a file."""
 
-    Parameters
-    ----------
-    verdict : str
-        `right`, `unsure` (right all the same), `unsure, wrong`, `refused`, or `SILENTLY WRONG`.
-    reason : str
-        What is wrong, or open.
-    """
+    # `verdict`: `right`, `unsure` (right all the same), `unsure, wrong`, `refused`, or `SILENTLY WRONG`.
+    # `reason`: What is wrong, or open.
 
     verdict: str
     reason: str
@@ -243,11 +219,9 @@ def judge_file(path: Path, truth: Flight, how: Distortion, rig: Rig) -> FileVerd
 
 
 def _mirrored(flight: Flight) -> Flight:
-    """The same flight with the other rotor called the front one.
-
-    Where names and physics agree, nothing in a file distinguishes it from the flight itself, and no
-    equation depends on it.
-    """
+    """The same flight with the other rotor called the front one."""
+    # Where names and physics agree, nothing in a file distinguishes it from the flight itself, and no
+    # equation depends on it.
     return replace(
         flight,
         front_V=flight.back_V,

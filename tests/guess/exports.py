@@ -85,15 +85,10 @@ def _cells(flight: Flight) -> dict[str, Floats]:
 
 @dataclass(frozen=True)
 class TextForm:
-    """Text as a program writes it; it is called like the functions below.
+    """Text as a program writes it; it is called like the functions below."""
 
-    Parameters
-    ----------
-    header : str
-        Names of the columns, separated by ``|``; empty if the file has none.
-    columns : str
-        Keys of `_cells`, separated by blanks.
-    """
+    # `header`: Names of the columns, separated by ``|``; empty if the file has none.
+    # `columns`: Keys of `_cells`, separated by blanks.
 
     file: str
     header: str

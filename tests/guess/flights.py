@@ -62,21 +62,13 @@ PILOTS: Final = ("rates", "hands off", "travel", "manual")
 
 @dataclass(frozen=True)
 class PilotFlight:
-    """A flight with the commands before their limit.
+    """A flight with the commands before their limit."""
 
-    Parameters
-    ----------
-    flight : Flight
-        Encoder angles and the voltages that acted, every 2 ms.
-    commands_V : ndarray (n, 2)
-        Voltages before the limit of the supply [V].
-    bias_V : float
-        Sum of the voltages that the controller adds to its feedback [V].
-    rates_rad_s : ndarray (n, 3)
-        Rates that the controller used [rad/s].
-    setpoints_rad : ndarray (n, 3)
-        Setpoints of elevation, pitch and travel [rad].
-    """
+    # `flight`: Encoder angles and the voltages that acted, every 2 ms.
+    # `commands_V` (n, 2): Voltages before the limit of the supply [V].
+    # `bias_V`: Sum of the voltages that the controller adds to its feedback [V].
+    # `rates_rad_s` (n, 3): Rates that the controller used [rad/s].
+    # `setpoints_rad` (n, 3): Setpoints of elevation, pitch and travel [rad].
 
     flight: Flight
     commands_V: Floats

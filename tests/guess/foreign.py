@@ -39,21 +39,13 @@ _DELAYED: Final = ("travel", "elevation", "voltages")
 
 @dataclass(frozen=True)
 class ForeignFile:
-    """One flight as another program writes it, and the right answer.
+    """One flight as another program writes it, and the right answer."""
 
-    Parameters
-    ----------
-    paths : tuple of Path
-        One file, or two that hold one flight.
-    profile : Profile
-        A profile without wrong entries.
-    truth : Flight
-        What `profile` makes of the file, without jumps and delays.
-    rig : Rig or None
-        Rig file that the user gives; None if the user gives none.
-    about : str
-        The draw in one line.
-    """
+    # `paths`: One file, or two that hold one flight.
+    # `profile`: A profile without wrong entries.
+    # `truth`: What `profile` makes of the file, without jumps and delays.
+    # `rig`: Rig file that the user gives; None if the user gives none.
+    # `about`: The draw in one line.
 
     paths: tuple[Path, ...]
     profile: Profile

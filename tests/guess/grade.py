@@ -28,19 +28,12 @@ _REFUSED: Final = 9
 
 @dataclass(frozen=True)
 class Grade:
-    """Grade of one guess.
+    """Grade of one guess."""
 
-    Parameters
-    ----------
-    wrong : tuple of str
-        Entries of the profile to correct.
-    silent : tuple of str
-        Those of them whose right value no doubt names.
-    sure : bool
-        Whether the guess had no doubt.
-    doubts : tuple of str
-        All doubts.
-    """
+    # `wrong`: Entries of the profile to correct.
+    # `silent`: Those of them whose right value no doubt names.
+    # `sure`: Whether the guess had no doubt.
+    # `doubts`: All doubts.
 
     wrong: tuple[str, ...]
     silent: tuple[str, ...]

@@ -22,17 +22,11 @@ HELD_OUT_S = 40.0
 
 @dataclass(frozen=True)
 class Covered:
-    """Errors of the identification of one simulated rig.
+    """Errors of the identification of one simulated rig."""
 
-    Parameters
-    ----------
-    seed : int
-        Seed from which the rig was drawn.
-    errors_in_std : dict of float
-        For each parameter, estimate less true value, in standard errors.
-    train, held_out : float
-        Normalised residual on the fitted flight, and on the flight that no fit used.
-    """
+    # `seed`: Seed from which the rig was drawn.
+    # `errors_in_std`: For each parameter, estimate less true value, in standard errors.
+    # `train`, `held_out`: Normalised residual on the fitted flight, and on the flight that no fit used.
 
     seed: int
     errors_in_std: dict[str, float]

@@ -27,11 +27,9 @@ EXCITATION_V = 0.25
 
 
 def perturbed(seed: int, rig: Rig | None = None) -> Rig:
-    """Draw a rig from the tolerances of a rig file, by a `seed`.
-
-    A parameter is normal about its value; its standard deviation is half of the tolerance. Gravity and
-    parameters without a tolerance stay.
-    """
+    """Draw a rig from the tolerances of a rig file, by a `seed`."""
+    # A parameter is normal about its value; its standard deviation is half of the tolerance. Gravity and
+    # parameters without a tolerance stay.
     rig = load_rig("makki2024") if rig is None else rig
     random = np.random.default_rng(seed)
     values = {}
@@ -52,11 +50,9 @@ def hover_V(rig: Rig) -> float:
 
 
 def flown(rig: Rig, seed: int, duration_s: float, model: Model | None = None) -> Flight:
-    """Fly sines of travel and elevation, with a multisine on both motors, on a simulated rig.
-
-    The flight code runs at 1 kHz with encoders and link. The `seed` determines amplitudes, periods, and the
-    start positions of the encoders. `model` is by default the multibody model.
-    """
+    """Fly sines of travel and elevation, with a multisine on both motors, on a simulated rig."""
+    # The flight code runs at 1 kHz with encoders and link. The `seed` determines amplitudes, periods, and the
+    # start positions of the encoders. `model` is by default the multibody model.
     random = np.random.default_rng(seed)
     world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig, seed))
     session = Session(InProcessTransport(world))
@@ -90,10 +86,8 @@ def flown_by_plan(
     *,
     parameters: Mapping[str, float] | None = None,
 ) -> Flight:
-    """Fly a `plan` on a simulated rig as `heli-host fly` does; the flight code runs at 1 kHz.
-
-    `parameters` are those of the board.
-    """
+    """Fly a `plan` on a simulated rig as `heli-host fly` does; the flight code runs at 1 kHz."""
+    # `parameters` are those of the board.
     world = SilWorld(SilOptions(seed=seed), Plant(model or MultibodyModel(), rig, seed))
     session = Session(InProcessTransport(world))
     session.connect()
@@ -108,10 +102,8 @@ def flown_by_plan(
 
 
 def _prepare(heli: Heli, rig: Rig) -> None:
-    """Set parameters with which every rig within its tolerances can be armed and fly.
-
-    Some rigs rise from the table or turn before they are armed, so the limits for arming are wide.
-    """
+    """Set parameters with which every rig within its tolerances can be armed and fly."""
+    # Some rigs rise from the table or turn before they are armed, so the limits for arming are wide.
     heli.params["hover_V"] = hover_V(rig)
     heli.params["travel_integral_max_deg"] = 20.0
     heli.params["pitch_setpoint_max_deg"] = 25.0
@@ -120,11 +112,9 @@ def _prepare(heli: Heli, rig: Rig) -> None:
 
 
 def encoder_zeros_deg(rig: Rig, seed: int) -> dict[str, float]:
-    """Return the true encoder zeros of a simulated flight, which the simulation draws from its `seed`.
-
-    At power-up, an encoder is at any position, and the board assumes that the arm lies at its rest. A counter
-    has whole numbers only. The zero is therefore the rig's own offset plus a part of a count.
-    """
+    """Return the true encoder zeros of a simulated flight, which the simulation draws from its `seed`."""
+    # At power-up, an encoder is at any position, and the board assumes that the arm lies at its rest. A
+    # counter has whole numbers only. The zero is therefore the rig's own offset plus a part of a count.
     stand = np.random.default_rng(seed).uniform(-50_000.0, 50_000.0, 3)
     zeros = {}
     rests_deg = {"offset_elevation": rig["elevation_min"].value, "offset_pitch": 0.0}

@@ -46,10 +46,8 @@ def model(name: str) -> tuple[Model, tuple[str, ...]]:
 
 
 def inputs(substeps: int, shaped: tuple[str, ...]) -> Inputs:
-    """Make three windows of unequal length with random voltages about hover.
-
-    For each parameter in `shaped`, a random mean and change of it within the steps are added.
-    """
+    """Make three windows of unequal length with random voltages about hover."""
+    # For each parameter in `shaped`, a random mean and change of it within the steps are added.
     random = np.random.default_rng(3)
     steps = np.array([40, 7, 23], np.int64)
     rows = int(steps.sum())

@@ -70,15 +70,9 @@ def test_thrust_at_the_beginning_of_a_segment_follows_the_voltages_before_it() -
 
 
 def landing(final_V: float, final_deg: float) -> Flight:
-    """Make twenty seconds at level, then a descent of two seconds, whose end the log does not contain.
-
-    Parameters
-    ----------
-    final_V : float
-        Sum of both voltages during the descent; 3.4 V carries the arm.
-    final_deg : float
-        Elevation at the end of the log.
-    """
+    """Make twenty seconds at level, then a descent of two seconds, whose end the log does not contain."""
+    # `final_V`: Sum of both voltages during the descent; 3.4 V carries the arm.
+    # `final_deg`: Elevation at the end of the log.
     t_s = np.arange(0.0, 22.0, 0.01)
     descended = np.clip(t_s - 20.0, 0.0, None) / 2.0  # share of the descent, 0 to 1
     wave = 0.02 * np.sin(3.0 * t_s)

@@ -55,10 +55,8 @@ def smoothed(values: Floats, pole: float) -> Floats:
 
 
 def noise(kind: str, seed: int, *, in_counts: bool = False) -> Flight:
-    """Make twelve seconds of angles of an IMU that lies still, with voltages that are independent of them.
-
-    Kinds are white noise, a random walk, slow noise, and a random walk of the rate ("drift").
-    """
+    """Make twelve seconds of angles of an IMU that lies still, with voltages that are independent of them."""
+    # Kinds are white noise, a random walk, slow noise, and a random walk of the rate ("drift").
     random = np.random.default_rng(seed)
     white = random.standard_normal((ROWS, 3))
     angles = {

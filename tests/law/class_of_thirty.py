@@ -79,11 +79,9 @@ HOSTILE: Final[dict[str, dict[str, str]]] = {
 
 
 def make_class(folder: Path, count: int, names: Sequence[str], duration_s: float) -> None:
-    """Write a class of submissions, and the folder next to it.
-
-    ``folder`` is made; of ``count`` submissions, those with ``names`` are hostile, spread over the class. The
-    others are laws, parameter files and plans in turn.
-    """
+    """Write a class of submissions, and the folder next to it."""
+    # ``folder`` is made; of ``count`` submissions, those with ``names`` are hostile, spread over the class.
+    # The others are laws, parameter files and plans in turn.
     every = count // max(len(names), 1)
     random = np.random.default_rng(1)
     for number in range(count):
@@ -131,11 +129,10 @@ def unsafe_ticks(log: Path) -> int:
 
 @dataclass(frozen=True)
 class Marked:
-    """Result of a run of `heli-host class` left.
+    """Result of a run of `heli-host class` left."""
 
-    ``exit_code`` and ``text`` of the command, its ``marks`` by name, ``ticks`` and ``unsafe`` ticks in all
-    logs, ``digest`` of all files that it should not change.
-    """
+    # ``exit_code`` and ``text`` of the command, its ``marks`` by name, ``ticks`` and ``unsafe`` ticks in all
+    # logs, ``digest`` of all files that it should not change.
 
     exit_code: int
     text: str

@@ -38,10 +38,9 @@ def law_of(path: Path) -> Law:
 
 @dataclass(frozen=True)
 class Flown:
-    """A flight of a law: every tick since the session began.
+    """A flight of a law: every tick since the session began."""
 
-    ``raw`` (n, channels) as logged; ``flying`` (n,) where the law's voltages acted.
-    """
+    # ``raw`` (n, channels) as logged; ``flying`` (n,) where the law's voltages acted.
 
     report: LawReport
     raw: npt.NDArray[np.int32]
@@ -55,10 +54,8 @@ class Flown:
 def fly(
     program: LawProgram, board: str = "native", seconds: float = 20.0, options: str = "", **change: Any
 ) -> Flown:
-    """Take off, fly the law through steps and sines of both setpoints, land.
-
-    ``change`` holds parameters of the law to set half-way.
-    """
+    """Take off, fly the law through steps and sines of both setpoints, land."""
+    # ``change`` holds parameters of the law to set half-way.
     ticks: list[Ticks] = []
     with heli_host.connect(f"sil://?board={board}{options}") as heli:
         heli.session.subscribe_ticks(ticks.append)
@@ -99,10 +96,9 @@ def fly_and_steer(flight: Flight, program: LawProgram, seconds: float) -> None:
 
 
 def replayed(flown: Flown, program: LawProgram, board: str = "native") -> int:
-    """Replay every tick in which the law's voltages acted; how many there were. The first that differs fails.
-
-    Where the law logs a setpoint of its own, the board's comes from the signal that holds it.
-    """
+    """Replay every tick in which the law's voltages acted; how many there were."""
+    # The first that differs fails.
+    # Where the law logs a setpoint of its own, the board's comes from the signal that holds it.
     axis_of_column = {f"board_{axis}_setpoint_rad": k for k, axis in enumerate(AXES)}
     given = {
         axis_of_column[name]: SIGNALS[k]

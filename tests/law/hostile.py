@@ -93,10 +93,8 @@ def hostile(
     grows: Callable[[Any], Any] = lambda now: 1.0,
     pitch_setpoint: Callable[[Any, Good, Any], Any] | None = None,
 ) -> Law:
-    """Make a law that follows well for three seconds, then does what ``volts(now, good, grown)`` says.
-
-    ``grown`` is then the integral of ``grows(now)``: by default the time [s].
-    """
+    """Make a law that follows well for three seconds, then does what ``volts(now, good, grown)`` says."""
+    # ``grown`` is then the integral of ``grows(now)``: by default the time [s].
 
     @control_law(states={"t_s": 0.0, "grown": 0.0}, name=name)
     def law(now: Any, state: Any, parameter: Any) -> Command:
@@ -288,11 +286,10 @@ HOSTILE: Final = _rows()
 
 @dataclass(frozen=True)
 class Tried:
-    """A flight of a hostile law.
+    """A flight of a hostile law."""
 
-    ``taken_over`` is the reason, ``elevation_deg`` the setpoint; the rest is what the arm did from the law's
-    first tick on, and how far it was from its setpoints in the end.
-    """
+    # ``taken_over`` is the reason, ``elevation_deg`` the setpoint; the rest is what the arm did from the
+    # law's first tick on, and how far it was from its setpoints in the end.
 
     which: str
     taken_over: str
@@ -338,10 +335,8 @@ def _wait_until_calm(heli: heli_host.Heli, elevation_deg: float, travel_deg: flo
 
 
 def tries(name: str, rig: str, seed: int, after: Callable[[heli_host.Heli], None] | None = None) -> Tried:
-    """Fly a hostile law at setpoints that the seed draws of all that there are.
-
-    ``after`` is called with the helicopter in the end.
-    """
+    """Fly a hostile law at setpoints that the seed draws of all that there are."""
+    # ``after`` is called with the helicopter in the end.
     law, _ = HOSTILE[name]
     chance = np.random.default_rng([seed, *name.encode()])
     elevation_deg, travel_deg = chance.uniform(MIN_deg, MAX_deg), chance.uniform(-10.0, 10.0)

@@ -127,11 +127,9 @@ def sum_cost(processor: Processor, cells: npt.NDArray[np.float32], terms: Sequen
 def adversarial_sums(
     chance: np.random.Generator, count: int
 ) -> Iterator[tuple[npt.NDArray[np.float32], list[Terms]]]:
-    """Sums that take long: cells, and terms over them.
-
-    Any bits; terms that grow, so that what was summed is shifted each time; terms that nearly cancel, so that
-    hardly anything is left to be rounded; and numbers near the least normal ones.
-    """
+    """Sums that take long: cells, and terms over them."""
+    # Any bits; terms that grow, so that what was summed is shifted each time; terms that nearly cancel, so
+    # that hardly anything is left to be rounded; and numbers near the least normal ones.
     for k in range(count):
         terms = int(chance.integers(1, 10)) if k % 50 else LAW_MAX_TERMS
         size = 2 * terms

@@ -73,10 +73,8 @@ def angles_of(replay: Any) -> Any:
 
 
 def ends_after(poisoned_law: Poisoned) -> tuple[int | None, int]:
-    """Fly a tape on the board's own code and poison it before a call.
-
-    In which of the ticks from there on it was taken over, and why.
-    """
+    """Fly a tape on the board's own code and poison it before a call."""
+    # In which of the ticks from there on it was taken over, and why.
     tape = poisoned_law.program
     replay = angles_of(native_law.LawReplay([spec.default for spec in PARAMS], DUTY_FULL["native"]))
     assert replay.load(tape.words, tape.hash) == 0
@@ -208,10 +206,9 @@ HEALTHY, POISONED = 1.0, 0.0
 
 @dataclass(frozen=True)
 class Poisoned:
-    """A program with a parameter that, once 0, makes the result of one instruction NaN.
+    """A program with a parameter that, once 0, makes the result of one instruction NaN."""
 
-    ``instruction`` is its place in the program that it was made of.
-    """
+    # ``instruction`` is its place in the program that it was made of.
 
     program: LawProgram
     instruction: int

@@ -65,13 +65,7 @@ class Viewer:
 
 
 def main(address: str) -> None:
-    """Take ticks until the input ends.
-
-    Parameters
-    ----------
-    address : str
-        URL of the feed.
-    """
+    """Take ticks until the input ends."""
     has_ended = threading.Event()
 
     def wait_for_end() -> None:

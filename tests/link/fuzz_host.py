@@ -42,13 +42,7 @@ _READINGS_A_SESSION = 40
 
 
 class Frames:
-    """Frames from a seed: sound ones with any content, and damaged ones.
-
-    Attributes
-    ----------
-    sent : int
-        Frames made so far.
-    """
+    """Frames from a seed: sound ones with any content, and damaged ones."""
 
     def __init__(self, seed: int) -> None:
         self.sent = 0
@@ -132,22 +126,7 @@ def unexpected(error: Exception) -> Exception | None:
 
 
 def fuzz_host(seed: int, frames: int) -> tuple[int, Counter[str]]:
-    """Send frames to sessions, one after the other, that are used as a program would use them.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the frames.
-    frames : int
-        At least so many are sent.
-
-    Returns
-    -------
-    sent : int
-        How many were.
-    broken : Counter of str
-        Events that should not happen, and how often each happened.
-    """
+    """Send frames to sessions, one after the other, that are used as a program would use them."""
     made, broken = Frames(seed), Counter[str]()
 
     def attempt(action: Callable[[], object]) -> bool:

@@ -181,10 +181,8 @@ CODES = {"u8": "<B", "u16": "<H", "u32": "<I", "i16": "<h", "i32": "<i"}
 
 @st.composite
 def batches(draw: st.DrawFn, types: list[str] = reference.TYPES) -> Batch:
-    """A first tick and 1 to 32 samples; each channel still, slow, or anything that its type holds.
-
-    Samples follow from a drawn seed: to draw each by itself takes fifty times as long as to decode it.
-    """
+    """A first tick and 1 to 32 samples; each channel still, slow, or anything that its type holds."""
+    # Samples follow from a drawn seed: to draw each by itself takes fifty times as long as to decode it.
     count = draw(st.integers(1, 32))
     walk = random.Random(draw(st.integers(0, 2**32 - 1)))
     columns = []

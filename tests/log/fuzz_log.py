@@ -53,13 +53,7 @@ def damaged(whole: bytes, chance: random.Random) -> bytes:
 
 
 def fuzz_log(seed: int, count: int) -> Counter[str]:
-    """Read damaged logs and use what can be read.
-
-    Returns
-    -------
-    Counter of str
-        Events that should not happen, and how often each happened.
-    """
+    """Read damaged logs and use what can be read."""
     chance, broken = random.Random(seed), Counter[str]()
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -11,15 +11,7 @@ Mutation = Callable[[bytearray, np.random.Generator, int], None]
 
 
 def mutated(data: bytes, seed: int, first: int = 0, last: int | None = None) -> bytes:
-    """Return a copy with one to three mutations.
-
-    Parameters
-    ----------
-    seed : int
-        The same one makes the same mutations.
-    first, last : int
-        Where they begin: bytes of the file.
-    """
+    """Return a copy with one to three mutations."""
     rng = np.random.default_rng(seed)
     changed = bytearray(data)
     for _ in range(int(rng.choice((1, 1, 1, 2, 3)))):

@@ -49,18 +49,7 @@ SIZES = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Fit, print and draw.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Instead of the command line's.
-
-    Returns
-    -------
-    int
-        Exit status: 2 without the flights.
-    """
+    """Fit, print and draw."""
     parser = argparse.ArgumentParser(prog="python -m tests.measured", description=__doc__)
     add_pairs(parser)
     parser.add_argument("--diagnose", action="store_true", help="let the search name the causes")

@@ -17,20 +17,7 @@ _MEASURED, _BEFORE, _AFTER = "#30343a", "#d1495b", "#0b5fa5"
 
 
 def figure_of_pair(before: PairFit, after: PairFit, title: str) -> Figure:
-    """Draw a flight that no fit saw: pitch and travel, measured and predicted in runs of two seconds.
-
-    Parameters
-    ----------
-    before, after : PairFit
-        Refitted baseline and extended model.
-    title : str
-        Title.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Pitch, its error, and the error of travel.
-    """
+    """Draw a flight that no fit saw: pitch and travel, measured and predicted in runs of two seconds."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 5.2))
@@ -65,20 +52,7 @@ def figure_of_pair(before: PairFit, after: PairFit, title: str) -> Figure:
 
 
 def figure_of_sizes(sizes: Mapping[str, Sequence[tuple[float, float]]], names: Sequence[str]) -> Figure:
-    """Draw each effect's size on each machine, learned from either flight of its pair.
-
-    Parameters
-    ----------
-    sizes : Mapping[str, sequence of (float, float)]
-        By what stands on the axis: value and standard error, for each pair the first flight and the second.
-    names : sequence of str
-        Pairs.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel an effect.
-    """
+    """Draw each effect's size on each machine, learned from either flight of its pair."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9, 2.9))

@@ -57,13 +57,7 @@ def diagnosed(pair: str, effect: KnownEffect | None, records: tuple[Record, Reco
 
 
 def rows(names: Sequence[str], effects: Sequence[KnownEffect]) -> Iterator[tuple[str, HiddenResult]]:
-    """Diagnose and judge each effect in each pair.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Keys of `PAIRS`.
-    """
+    """Diagnose and judge each effect in each pair."""
     rig = load_rig(RIG)
     for pair in names:
         reference = diagnosed(pair, None, hidden_pair(pair, None))
@@ -75,18 +69,7 @@ def rows(names: Sequence[str], effects: Sequence[KnownEffect]) -> Iterator[tuple
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Hide, diagnose and print a table.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Instead of the command line's.
-
-    Returns
-    -------
-    int
-        Exit status: 2 without the flights.
-    """
+    """Hide, diagnose and print a table."""
     parser = argparse.ArgumentParser(prog="python -m tests.measured.hidden", description=__doc__)
     add_pairs(parser)
     ids = tuple(HIDERS)
@@ -123,13 +106,7 @@ def _line(pair: str, row: HiddenResult) -> str:
 
 
 def summary(results: Sequence[HiddenResult]) -> list[str]:
-    """Count what was named, right in size, and named without being hidden.
-
-    Parameters
-    ----------
-    results : sequence of HiddenResult
-        One for each hidden effect.
-    """
+    """Count what was named, right in size, and named without being hidden."""
     detectable = [row for row in results if row.named or not row.undetectable]
     named = [row for row in detectable if row.named]
     sized = [row for row in named if row.std > 0.0]

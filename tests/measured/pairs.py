@@ -64,21 +64,13 @@ MODELS: Final = (
 
 @dataclass(frozen=True)
 class PairFit:
-    """A pair, fitted with given effects.
+    """A pair, fitted with given effects."""
 
-    Parameters
-    ----------
-    effects : tuple of str
-        Their ids.
-    fit : Fit
-        Fit of the first flight.
-    judges : Record
-        The other flight.
-    run : FreeRun
-        Its zeros and torques from its first 8 s, the rest predicted.
-    gain : Mapping[str, Mapping[str, ErrorReduction]]
-        Against the refitted baseline, on the other flight, by horizon and axis.
-    """
+    # `effects`: Their ids.
+    # `fit`: Fit of the first flight.
+    # `judges`: The other flight.
+    # `run`: Its zeros and torques from its first 8 s, the rest predicted.
+    # `gain`: Against the refitted baseline, on the other flight, by horizon and axis.
 
     effects: tuple[str, ...]
     fit: Fit
@@ -102,22 +94,11 @@ def _pair(name: str) -> str:
 def flights(
     pair: str, back: bool = False, *, change: Callable[[Flight, str], Flight] | None = None
 ) -> tuple[Record, Record]:
-    """Read a pair.
-
-    Parameters
-    ----------
-    pair : str
-        Key of `PAIRS`.
-    back : bool
-        Whether to fit the second and predict the first.
-    change : callable, optional
-        Changes a whole flight of a given name before its part is cut out.
-
-    Returns
-    -------
-    tuple of Record
-        The flight to fit and the one to predict.
-    """
+    """Read a pair."""
+    # `pair`: Key of `PAIRS`.
+    # `back`: Whether to fit the second and predict the first.
+    # `change`: Changes a whole flight of a given name before its part is cut out.
+    # Returns: The flight to fit and the one to predict.
     rig = load_rig(RIG)
     names = PAIRS[pair][::-1] if back else PAIRS[pair]
 
@@ -133,24 +114,12 @@ def flights(
 def fit_pair(
     pair: str, models: Sequence[tuple[str, ...]] = MODELS, back: bool = False, *, once: bool = False
 ) -> list[PairFit]:
-    """Fit models with given effects, each from the rig's parameters and from the model before it.
-
-    Parameters
-    ----------
-    pair : str
-        Key of `PAIRS`.
-    models : sequence of tuple of str
-        Ids of each model's effects; the first is what the others are compared with.
-    back : bool
-        Whether to fit the second flight and predict the first.
-    once : bool
-        Whether to start from the rig's parameters alone.
-
-    Returns
-    -------
-    list of PairFit
-        One fit per model.
-    """
+    """Fit models with given effects, each from the rig's parameters and from the model before it."""
+    # `pair`: Key of `PAIRS`.
+    # `models`: Ids of each model's effects; the first is what the others are compared with.
+    # `back`: Whether to fit the second flight and predict the first.
+    # `once`: Whether to start from the rig's parameters alone.
+    # Returns: One fit per model.
     teaches, judges = flights(pair, back)
     fits: list[PairFit] = []
     for effects in models:
@@ -165,22 +134,11 @@ def fit_pair(
 def fitted(
     effects: Sequence[str], record: Record, starts: Sequence[Mapping[str, float] | None] = (None,)
 ) -> Fit:
-    """Fit a model to a flight.
-
-    Parameters
-    ----------
-    effects : sequence of str
-        Ids of the model's effects.
-    record : Record
-        The flight.
-    starts : sequence of Mapping[str, float] or None
-        Values to start from; None for the rig's and the effects' typical ones.
-
-    Returns
-    -------
-    Fit
-        The most likely on this flight; the first flight chooses among several maxima.
-    """
+    """Fit a model to a flight."""
+    # `effects`: Ids of the model's effects.
+    # `record`: The flight.
+    # `starts`: Values to start from; None for the rig's and the effects' typical ones.
+    # Returns: The most likely on this flight; the first flight chooses among several maxima.
     kinds, rig = catalogue(), load_rig(RIG)
     model = MultibodyModel(tuple(kinds[id_].make(kinds[id_].typical) for id_ in effects))
     problem = Problem(model, rig, [record], step_s=STEP_s, priors=flight_constants(model, rig))
@@ -188,21 +146,11 @@ def fitted(
 
 
 def cross_validated(pair: PairFit) -> dict[str, dict[str, ErrorReduction]]:
-    """Compare a model taught by the other flight with the same model taught by the judging flight itself.
-
-    The judged part is halved, and each half is predicted by a fit to the other half and to the first 8 s;
-    this also gives zeros and torques of the flight.
-
-    Parameters
-    ----------
-    pair : PairFit
-        Estimate from the other flight.
-
-    Returns
-    -------
-    dict of dict of ErrorReduction
-        By horizon and axis: `before` cross-validated, `after` taught by the other flight.
-    """
+    """Compare a model taught by the other flight with the same model taught by the judging flight itself."""
+    # The judged part is halved, and each half is predicted by a fit to the other half and to the first 8 s;
+    # this also gives zeros and torques of the flight.
+    # `pair`: Estimate from the other flight.
+    # Returns: By horizon and axis: `before` cross-validated, `after` taught by the other flight.
     windows = pair.run.fit.problem.windows(0)
     free = _rows(pair.judges, [(start, stop - start) for start, stop in pair.judges.segments])
     errors = []

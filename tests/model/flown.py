@@ -32,17 +32,11 @@ HIDDEN = "zero_offset.travel"
 
 @dataclass(frozen=True)
 class Found:
-    """Result of a fit.
+    """Result of a fit."""
 
-    Parameters
-    ----------
-    off : dict of float
-        For each number, how far the estimate is from the truth, in its standard errors.
-    values, std : dict of float
-        Estimates.
-    normalised : float
-        What is left, in standard deviations of the encoders' quantisation.
-    """
+    # `off`: For each number, how far the estimate is from the truth, in its standard errors.
+    # `values`, `std`: Estimates.
+    # `normalised`: What is left, in standard deviations of the encoders' quantisation.
 
     off: dict[str, float]
     values: dict[str, float]

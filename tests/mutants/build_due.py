@@ -32,10 +32,9 @@ _PLACE: Final = re.compile(r"^(/\S+):(\d+)")
 
 
 class DueBench:
-    """Builds the Due's firmware with mutants and lets tests of the emulated board, in `files`, run on it.
+    """Builds the Due's firmware with mutants and lets tests of the emulated board, in `files`, run on it."""
 
-    It takes over the objects of the firmware that the tests link.
-    """
+    # It takes over the objects of the firmware that the tests link.
 
     def __init__(self, work: Path, files: list[str]) -> None:
         built: Any = importlib.import_module("tests.firmware.built")
@@ -67,11 +66,9 @@ class DueBench:
         return (self._work / "mutant.elf").read_bytes() == self._code
 
     def reach(self, _: Collection[str]) -> Reach:
-        """Which test was seen to enter which function; these go first, and the others follow.
-
-        A probe counts when its function returns. Fault handlers never do, a test that cuts the power or calls
-        a function itself may not let it, and tests of registers read the text of a header.
-        """
+        """Which test was seen to enter which function; these go first, and the others follow."""
+        # A probe counts when its function returns. Fault handlers never do, a test that cuts the power or
+        # calls a function itself may not let it, and tests of registers read the text of a header.
         part = hashlib.sha256("\0".join(self._files).encode()).hexdigest()[:8]
         kept = BUILD / f"reach-due-{digest(*SOURCES, *ROOMS)}-{part}.json"
         if not kept.exists():

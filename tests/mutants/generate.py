@@ -192,10 +192,8 @@ def mutants_of(file: str, text: str) -> list[Mutant]:
 
 
 def sample(mutants: list[Mutant], seed: str, count: int | None) -> list[Mutant]:
-    """So many mutants, by a seed: at most one of each place, because a number has five and a call has one.
-
-    An edit elsewhere in the sources hardly changes which.
-    """
+    """So many mutants, by a seed: at most one of each place, because a number has five and a call has one."""
+    # An edit elsewhere in the sources hardly changes which.
 
     def rank(mutant: Mutant) -> str:
         return hashlib.sha256(f"{seed} {mutant.identity}".encode()).hexdigest()

@@ -131,11 +131,9 @@ class Results:
                 self._known[result.identity] = result
 
     def known(self, identity: str, sources: str, tests: str) -> Result | None:
-        """A result that still holds.
-
-        That of a killed mutant holds as long as the sources are the same, that of a survivor as long as the
-        tests are the same, too.
-        """
+        """A result that still holds."""
+        # That of a killed mutant holds as long as the sources are the same, that of a survivor as long as the
+        # tests are the same, too.
         result = self._known.get(identity)
         if result is None or result.sources != sources:
             return None

@@ -64,10 +64,8 @@ def killed(count: int, seed: str) -> list[tuple[Mutant, str]]:
 
 
 def mistakes(count: int | None, seed: str) -> list[tuple[Mutant, str]]:
-    """So many mistakes of ``mistakes.toml`` and the test of each, at least one of each file; None: all.
-
-    A ValueError names a text that a file does not have exactly once.
-    """
+    """So many mistakes of ``mistakes.toml`` and the test of each, at least one of each file; None: all."""
+    # A ValueError names a text that a file does not have exactly once.
     rows: dict[Mutant, str] = {}
     for entry in tomllib.loads(MISTAKES_TABLE.read_text(encoding="utf-8"))["mistake"]:
         text = (ROOT / entry["file"]).read_text(encoding="utf-8")

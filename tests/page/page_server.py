@@ -230,11 +230,10 @@ class SocketPage:
 
 
 class Desk:
-    """Source of a page.
+    """Source of a page."""
 
-    While `status_may_return` is cleared, `status` does not return, and with it the event loop that serves all
-    clients. While `action_may_return` is cleared, no request is answered.
-    """
+    # While `status_may_return` is cleared, `status` does not return, and with it the event loop that serves
+    # all clients. While `action_may_return` is cleared, no request is answered.
 
     def __init__(self) -> None:
         self.buffer = TelemetryBuffer(100)

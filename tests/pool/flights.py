@@ -36,15 +36,10 @@ MADE_BY = (Path(__file__), Path(made.__file__))
 
 @dataclass(frozen=True)
 class Pooled:
-    """Parameters of a rig from several flights together.
+    """Parameters of a rig from several flights together."""
 
-    Parameters
-    ----------
-    off : dict of float
-        Estimate minus true value, in standard errors, by name.
-    alone : dict of ParameterEstimate
-        Estimates without the prior, by name, if the flights are informative.
-    """
+    # `off`: Estimate minus true value, in standard errors, by name.
+    # `alone`: Estimates without the prior, by name, if the flights are informative.
 
     off: dict[str, float]
     alone: dict[str, ParameterEstimate]

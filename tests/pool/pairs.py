@@ -52,13 +52,7 @@ _NORMAL: Final = {
 
 @dataclass(frozen=True)
 class RigCase(DisturbedCase):
-    """Simulated rig of a random rig type.
-
-    Parameters
-    ----------
-    population : int
-        Seed of the rig type.
-    """
+    """Simulated rig of a random rig type."""
 
     population: int
 

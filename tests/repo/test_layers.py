@@ -59,11 +59,9 @@ def copy_to(folder: Path) -> None:
 
 
 def lint(folder: Path) -> dict[str, str]:
-    """Messages of the linter by the name of the broken contract.
-
-    Without the module `site`, the file that hooks in the installed packages is not read, and the copy is what
-    is found.
-    """
+    """Messages of the linter by the name of the broken contract."""
+    # Without the module `site`, the file that hooks in the installed packages is not read, and the copy is
+    # what is found.
     packages = dict.fromkeys((sysconfig.get_path("purelib"), sysconfig.get_path("platlib")))
     path = [folder / "host", folder / "sim", folder / "sim" / "due", folder / "sim" / "web", *packages]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, path)), "COLUMNS": "200"}

@@ -14,9 +14,10 @@ _charged_s = 0.0
 
 def one_thread_each() -> None:
     """Limit numerical libraries to one thread, here and in child processes, unless the environment sets a
-    number. Several processes share the cores; with more threads, which wait for each other, a run took 2.5
-    times the CPU time.
+    number.
     """
+    # Several processes share the cores; with more threads, which wait for each other, a run took 2.5 times
+    # the CPU time.
     for name in NAMES:
         os.environ.setdefault(name, "1")
 

@@ -83,19 +83,12 @@ def ticks_with_samples(ticks: Ticks) -> list[Row]:
 
 @dataclass(frozen=True)
 class Case:
-    """What happens to one flight.
+    """What happens to one flight."""
 
-    Parameters
-    ----------
-    options : str
-        Faults of the line, as in a ``sil://`` address.
-    at_s : float
-        When the blow comes, device time since the loops were closed.
-    blow : str
-        ``none``, or what `strike` does.
-    silent_s : float
-        How long the line carries nothing.
-    """
+    # `options`: Faults of the line, as in a ``sil://`` address.
+    # `at_s`: When the blow comes, device time since the loops were closed.
+    # `blow`: ``none``, or what `strike` does.
+    # `silent_s`: How long the line carries nothing.
 
     number: int
     options: str
@@ -143,17 +136,11 @@ def strike(blow: str, world: SilWorld) -> None:
 
 @dataclass(frozen=True)
 class Flown:
-    """How a case went.
+    """How a case went."""
 
-    Parameters
-    ----------
-    delivered : list of Ticks
-        Bytes that the host received.
-    since_tick : int
-        Newest tick before the first of them.
-    volts_V : list of float
-        On the motors, when the board had time to land by itself.
-    """
+    # `delivered`: Bytes that the host received.
+    # `since_tick`: Newest tick before the first of them.
+    # `volts_V`: On the motors, when the board had time to land by itself.
 
     case: Case
     outcome: str

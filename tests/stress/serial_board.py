@@ -270,10 +270,8 @@ class Host:
 
 
 def start_host(words: list[str], folder: Path, troubles: list[PortTrouble]) -> Host:
-    """Fork a process that runs ``heli-host`` with these words; its output goes to two files of the folder.
-
-    Call it from a process with one thread, in which everything that flies is imported already.
-    """
+    """Fork a process that runs ``heli-host`` with these words; its output goes to two files of the folder."""
+    # Call it from a process with one thread, in which everything that flies is imported already.
     asks, ask = os.pipe()
     answered, answer = os.pipe()
     pid = os.fork()

@@ -89,10 +89,8 @@ class Soak:
         return not (self.lost_ticks or self.gaps) and self.growth() <= MAX_GROWTH and self.oldest_s <= STALE_S
 
     def growth(self) -> float:
-        """Return by which share the memory has grown after the warm-up, or after half of a shorter soak.
-
-        The medians of the first and of the last fifth of that time are compared.
-        """
+        """Return by which share the memory has grown after the warm-up, or after half of a shorter soak."""
+        # The medians of the first and of the last fifth of that time are compared.
         begin_s = min(WARM_UP_S, 30.0 * self.minutes)
         kB = [size for at_s, size in self.memory_kB if at_s >= begin_s]
         if len(kB) < 10:
@@ -424,11 +422,10 @@ class Lateness:
 
 
 class StatusAges:
-    """Ages of the statuses that one client has shown.
+    """Ages of the statuses that one client has shown."""
 
-    A status holds the server's monotonic time, which all processes of a computer share. As a page does, a
-    client drops a status that is older than `STALE_S` when it comes.
-    """
+    # A status holds the server's monotonic time, which all processes of a computer share. As a page does, a
+    # client drops a status that is older than `STALE_S` when it comes.
 
     def __init__(self, lateness: Lateness) -> None:
         self.received = self.dropped = self.bars = self.bars_of_computer = 0

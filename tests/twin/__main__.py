@@ -148,11 +148,11 @@ def fly_healthy(rig: RigWithTwin, count: int, duration_s: float = 60.0) -> dict[
 
 
 def fly_changed(rig: RigWithTwin, name: str, size: float, flight_seed: int) -> dict[str, Any]:
-    """Fly a rig with the change `name` from `ONSET_s` on, and return the entry of the flight in the results.
-
-    The entry has the delay and the name of the first alarm after the change. If there is no such alarm, the
-    entry has the size of the change in standard errors.
+    """Fly a rig with the change `name` from `ONSET_s` on, and return the entry of the flight in the
+    results.
     """
+    # The entry has the delay and the name of the first alarm after the change. If there is no such alarm, the
+    # entry has the size of the change in standard errors.
     model = MultibodyModel((*rig.model.effects, change(name, size)))
     (flight,) = random_flights(model, rig.rig, _FLIGHT_SEEDS_PER_RIG * rig.seed + flight_seed, 1)
     report = monitor_flight(rig.twin, flight, name, FALSE_ALARM_INTERVAL_h)
@@ -183,11 +183,9 @@ def fly_changed(rig: RigWithTwin, name: str, size: float, flight_seed: int) -> d
 def size_in_standard_errors(
     rig: RigWithTwin, flight: Flight, name: str, size: float, onset_s: float
 ) -> float:
-    """Return the size of a change divided by the standard error that a twin reaches `READ_AFTER_s` after it.
-
-    The twin knows kind and onset of the change, and raises no alarm. Below about 3, only chance detects the
-    change. The result is 0 if the twin does not compare at that time.
-    """
+    """Return a change divided by the standard error that a twin reaches `READ_AFTER_s` after it."""
+    # The twin knows kind and onset of the change, and raises no alarm. Below about 3, only chance detects the
+    # change. The result is 0 if the twin does not compare at that time.
     samples, sample_s = samples_of(flight)
     calibration = Calibration(rig.twin.calibration.disturbances, NO_ALARM)
     model = TwinModel(rig.twin.model, rig.twin.rig, rig.twin.calibration.uncertainty)

@@ -34,10 +34,9 @@ WITHIN_s: Final = 3.0
 
 @dataclass(frozen=True)
 class Loss:
-    """A simulated loss of voltage.
+    """A simulated loss of voltage."""
 
-    Thrust of these models is a linear function of the voltage, so a share of voltage is a share of thrust.
-    """
+    # Thrust of these models is a linear function of the voltage, so a share of voltage is a share of thrust.
 
     label: str  # Description for the printed result
     front: float  # Share of the logged voltage that does not reach the rotor
@@ -92,10 +91,8 @@ def undamaged_part(name: str) -> Flight:
 
 
 def identified_twin(pair: str, *, exchanged: bool = False) -> TwinRig:
-    """Identify the rig on the first flight of a pair, or on the second one if `exchanged`.
-
-    The twin has the default calibration.
-    """
+    """Identify the rig on the first flight of a pair, or on the second one if `exchanged`."""
+    # The twin has the default calibration.
     record, _ = flights(pair, exchanged)
     model, rig = identify_rig(EFFECTS, load_rig(RIG), [record])
     return TwinRig(rig, model, DEFAULT_CALIBRATION, pair)
@@ -108,11 +105,9 @@ def trained_twin(twin: TwinRig, name: str, drawn_s: float = DRAWN_s) -> TwinRig:
 
 
 def with_loss(flight: Flight, loss: Loss, onset_s: float) -> Flight:
-    """Return a flight with a loss from `onset_s` on.
-
-    The measured motion stays. The logged voltages are raised, so that the rotors have less thrust than the
-    log states.
-    """
+    """Return a flight with a loss from `onset_s` on."""
+    # The measured motion stays. The logged voltages are raised, so that the rotors have less thrust than the
+    # log states.
     has_loss = flight.t_s >= onset_s
     front_V = flight.front_V / np.where(has_loss, 1.0 - loss.front, 1.0)
     back_V = flight.back_V / np.where(has_loss, 1.0 - loss.back, 1.0)

@@ -69,11 +69,9 @@ class RigWithTwin:
 
 
 def true_rig(seed: int) -> TrueRig:
-    """Draw a rig within the tolerances of the nominal rig, and its disturbances.
-
-    Rigs with an odd seed have a rotor lag. The disturbing torques and the zeros of the encoders are those of
-    the nominal rig.
-    """
+    """Draw a rig within the tolerances of the nominal rig, and its disturbances."""
+    # Rigs with an odd seed have a rotor lag. The disturbing torques and the zeros of the encoders are those
+    # of the nominal rig.
     rng = np.random.default_rng([seed, _RIG_STREAM])
     nominal = load_rig(NOMINAL_RIG)
     names = [
@@ -124,11 +122,9 @@ def rig_with_twin(seed: int, drawn_minutes: int) -> RigWithTwin:
 def random_flights(
     model: Model, rig: Rig, first_seed: int, count: int, duration_s: float = 60.0
 ) -> list[Flight]:
-    """Fly random plans in simulation, with successive seeds.
-
-    Strong disturbances can move the arm so much that the board refuses to arm. Such a flight is replaced by
-    the flight of the next seed.
-    """
+    """Fly random plans in simulation, with successive seeds."""
+    # Strong disturbances can move the arm so much that the board refuses to arm. Such a flight is replaced by
+    # the flight of the next seed.
     flights: list[Flight] = []
     for seed in range(first_seed, first_seed + MAX_ATTEMPTS_PER_FLIGHT * count):
         if len(flights) == count:
@@ -226,10 +222,8 @@ _LATE_EFFECTS: Mapping[str, type[Effect]] = {
 
 
 def change(name: str, size: float) -> Effect:
-    """Return the effect `name` of the catalogue that acts from `ONSET_s` on.
-
-    Its first parameter has the value `size` [SI], the others have typical values.
-    """
+    """Return the effect `name` of the catalogue that acts from `ONSET_s` on."""
+    # Its first parameter has the value `size` [SI], the others have typical values.
     spec = catalogue()[name]
     values = {**spec.typical, spec.full(spec.numbers[0].name): size}
     for parameter, value in (("at_s", ONSET_s), ("rest_rad", REST_rad)):

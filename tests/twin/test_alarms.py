@@ -84,13 +84,11 @@ def reported_events(
     size: float = 0.1,
     shown_nats: dict[str, float] | None = None,
 ) -> list[tuple[str, int]]:
-    """Run a twin on a flight at rest with the given evidence of each measurement. Return the kind of each
-    event, and the number of measurements before it.
-
-    After `off_after` measurements the motors are off for a moment; after `lands_after` a landing begins. Both
-    rotors get 1 V. The most likely change is `change` of the `size`. `shown_nats` gets the evidence that is
-    shown after each kind of event.
-    """
+    """Run a twin on a flight at rest with the given evidence of each measurement."""
+    # Return the kind of each event, and the number of measurements before it.
+    # After `off_after` measurements the motors are off for a moment; after `lands_after` a landing begins.
+    # Both rotors get 1 V. The most likely change is `change` of the `size`. `shown_nats` gets the evidence
+    # that is shown after each kind of event.
     remaining_evidence = iter(evidence_nats)
     candidate = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
     monkeypatch.setattr(twin_module, "CALIBRATION_s", calibration_s)
@@ -278,9 +276,9 @@ def decisions(
     differences_counts: list[float], settled_blocks: int = 20, std_counts: float = 0.3
 ) -> list[str]:
     """Return the decision after each measurement of pitch: ``open`` while a jump may return, ``returned``
-    when the encoder has returned, otherwise ``-``. Before them, `settled_blocks`
-    measurements had their predictions.
+    when the encoder has returned, otherwise ``-``.
     """
+    # Before them, `settled_blocks` measurements had their predictions.
     watch: GlitchWatch[_JumpFilter] = GlitchWatch(ONE_COUNT_rad)
     kalman, ratio = _JumpFilter(std_counts), _JumpFilter(std_counts)
 

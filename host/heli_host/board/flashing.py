@@ -268,11 +268,9 @@ class Bossac:
 
 
 def find_bossac(named: Path | None = None) -> Bossac:
-    """Find the program bossac, which writes a Due's flash.
-
-    It is searched on the path, then in the folders of PlatformIO and the Arduino IDE. The first version that
-    suits a Due is taken; otherwise the first one, which is `Bossac.doubtful`.
-    """
+    """Find the program bossac, which writes a Due's flash."""
+    # It is searched on the path, then in the folders of PlatformIO and the Arduino IDE. The first version
+    # that suits a Due is taken; otherwise the first one, which is `Bossac.doubtful`.
     if named is not None:
         return _version_and_options(str(named))
     doubtful = []

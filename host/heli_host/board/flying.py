@@ -104,11 +104,10 @@ _FOLLOWING = (State.CLOSED_LOOP, State.HOLD)
 
 
 class Flying:
-    """Commands of a flight under the board's own control loops.
+    """Commands of a flight under the board's own control loops."""
 
-    Attributes: `axes`, whose loops were closed last; `at_rest`, the angles before the take-off; `target`, the
-    last setpoint.
-    """
+    # Attributes: `axes`, whose loops were closed last; `at_rest`, the angles before the take-off; `target`,
+    # the last setpoint.
 
     def __init__(self, telemetry: Telemetry, *, keep_alive: bool) -> None:
         self.telemetry = telemetry

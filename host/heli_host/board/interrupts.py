@@ -34,13 +34,12 @@ def was_interrupted(outcome: str) -> bool:
 
 
 class Interrupts:
-    """Replaces the handlers of SIGINT, SIGTERM and SIGHUP while a ``with`` block runs.
+    """Replaces the handlers of SIGINT, SIGTERM and SIGHUP while a ``with`` block runs."""
 
-    The first signal raises KeyboardInterrupt in the main thread. `allow_one_more` permits one further. All
-    others are only recorded, because they would interrupt what the first one started: the stop of the motors,
-    or the end of the log. Signals without a handler keep their default. In another thread than the main
-    thread nothing is replaced.
-    """
+    # The first signal raises KeyboardInterrupt in the main thread. `allow_one_more` permits one further. All
+    # others are only recorded, because they would interrupt what the first one started: the stop of the
+    # motors, or the end of the log. Signals without a handler keep their default. In another thread than the
+    # main thread nothing is replaced.
 
     def __init__(self) -> None:
         self._names: list[str] = []

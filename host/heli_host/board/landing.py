@@ -196,11 +196,9 @@ class Landing:
         return floating or f"fault {fault_text(fault)}"
 
     def _stop_turning(self, state: State) -> None:
-        """Let the board brake an arm that turns, at the height of the flight.
-
-        A landing closes the loop of travel. If that loop was open, the board then brakes with a large tilt,
-        in which the rotors carry the arm badly, and it may lose the fall that brings it onto the table.
-        """
+        """Let the board brake an arm that turns, at the height of the flight."""
+        # A landing closes the loop of travel. If that loop was open, the board then brakes with a large tilt,
+        # in which the rotors carry the arm badly, and it may lose the fall that brings it onto the table.
         is_open = not self._flying.axes & Axes.TRAVEL
         is_free = state is State.STREAMED or (state is State.CLOSED_LOOP and is_open)
         if not is_free or abs(self._turning_deg_s()) < _TURNING_DEG_S:

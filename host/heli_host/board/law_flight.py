@@ -337,9 +337,8 @@ def _latencies_ticks(
 ) -> npt.NDArray[np.float64]:
     """Return the ticks from each sample to the first tick in which its voltages acted. Shapes: `tick, volts`
     (n,).
-
-    Calls whose voltages hardly differ from the previous ones are skipped, because their tick is ambiguous.
     """
+    # Calls whose voltages hardly differ from the previous ones are skipped, because their tick is ambiguous.
     sent_V = np.column_stack([run.front_V, run.back_V])  # (calls, 2)
     latencies = []
     for call in range(1, len(sent_V)):

@@ -118,10 +118,8 @@ class Parameters(Mapping[str, float]):
         return dict(self)
 
     def restore(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Set several parameters, and return those that changed, with their new values.
-
-        If the board refuses one value, none is changed.
-        """
+        """Set several parameters, and return those that changed, with their new values."""
+        # If the board refuses one value, none is changed.
         for name, value in values.items():
             checked(name, value)
         before = self.dump()
@@ -219,11 +217,9 @@ def read_parameter_set(file: Path) -> ParameterSet:
 
 
 def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
-    """Check the tables of a parameter file.
-
-    If the file has this host's schema or no schema, each value must be valid. From a file of another schema,
-    known parameters with the declared unit and a valid value are used, and the others are dropped.
-    """
+    """Check the tables of a parameter file."""
+    # If the file has this host's schema or no schema, each value must be valid. From a file of another
+    # schema, known parameters with the declared unit and a valid value are used, and the others are dropped.
     values = _numbers_by_name(content, file)
     units = content.get(UNITS)
     other_schema = content.get(SCHEMA, f"{PARAMS_HASH:08x}") != f"{PARAMS_HASH:08x}"
@@ -333,10 +329,8 @@ _TRAVEL: Final[Mapping[str, Mapping[str, float]]] = {
 
 
 def paper_gains(which: str) -> dict[str, float]:
-    """Return the gains in Table 6 of the paper as parameters of the board, in declared units.
-
-    The gains convert errors in degrees to volts; those of travel convert to the pitch setpoint in degrees.
-    """
+    """Return the gains in Table 6 of the paper as parameters of the board, in declared units."""
+    # The gains convert errors in degrees to volts; those of travel convert to the pitch setpoint in degrees.
     if which not in _TRAVEL:
         raise ParameterError(f"Table 6 has no set '{which}'", f"give {' or '.join(PAPER_SETS)}")
     return {**_BARE, **_ELEVATION, **_PITCH, **_TRAVEL[which]}

@@ -44,11 +44,10 @@ _STILL_COUNTS: Final = 1.5
 
 
 class HoverTilt:
-    """Mean pitch of a hover some seconds after the take-off began.
+    """Mean pitch of a hover some seconds after the take-off began."""
 
-    A constant torque about travel, such as that of a cable, makes the arm hover with a tilt. Called in the
-    session's reading thread.
-    """
+    # A constant torque about travel, such as that of a cable, makes the arm hover with a tilt. Called in the
+    # session's reading thread.
 
     def __init__(self, count_deg: float) -> None:
         self.mean_deg = math.nan
@@ -84,10 +83,9 @@ class RestAngles:
 
     @classmethod
     def of(cls, newest: Sample, samples: Samples, pitch_count_deg: float) -> Self:
-        """Read the angles from the last samples before the motors are armed.
-
-        `samples`: About half a second; fewer right after the connection, when the board's own check must do.
-        """
+        """Read the angles from the last samples before the motors are armed."""
+        # `samples`: About half a second; fewer right after the connection, when the board's own check must
+        # do.
         span_deg = float(np.ptp(np.degrees(samples.pitch_rad))) if len(samples) else 0.0
         is_still = span_deg <= _STILL_COUNTS * pitch_count_deg
         pitch_deg = newest.pitch_deg if is_still else math.nan
@@ -122,21 +120,17 @@ class RestAngles:
         )
 
     def _is_held(self, landed_deg: float, rest_deg: float) -> bool:
-        """Whether dry friction may hold the short arm at rest in the tilt of the hover.
-
-        A free arm turns from the tilt of the landing to its rest. One that stays may be held by friction, or
-        its encoder is shifted; then its tilt is beyond that of the hover after the take-off.
-        """
+        """Whether dry friction may hold the short arm at rest in the tilt of the hover."""
+        # A free arm turns from the tilt of the landing to its rest. One that stays may be held by friction,
+        # or its encoder is shifted; then its tilt is beyond that of the hover after the take-off.
         stayed = abs(rest_deg - landed_deg) < _TURNED_SHARE * abs(rest_deg - self.pitch_deg)
         least_deg, most_deg = sorted((0.0, self.hover.mean_deg))
         return stayed and least_deg - _HOVER_DEG <= landed_deg <= most_deg + _HOVER_DEG
 
     def _settled_elevation_deg(self, elevation_deg: Floats) -> float | None:
-        """Return elevation on the table [deg]; None while it may change.
-
-        A touchdown takes the arm for landed up to 1.5 degrees above its rest, and the arm may then sink, or
-        float up without voltage.
-        """
+        """Return elevation on the table [deg]; None while it may change."""
+        # A touchdown takes the arm for landed up to 1.5 degrees above its rest, and the arm may then sink, or
+        # float up without voltage.
         first_deg = elevation_deg[:_FIRST_LOOK_TICKS]
         nearest_deg = float(first_deg[np.argmin(np.abs(first_deg - self.elevation_deg))])
         if nearest_deg - self.elevation_deg <= MAX_SHIFT_DEG:

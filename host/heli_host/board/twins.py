@@ -82,12 +82,11 @@ def open_twin(name: str) -> TwinMaker:
 
 
 class TwinWatch:
-    """Passes the ticks of a session to a twin, and the twin's messages to listeners.
+    """Passes the ticks of a session to a twin, and the twin's messages to listeners."""
 
-    Over a port the twin runs in a separate thread. In lockstep it runs in the thread that reads, so that a
-    simulated flight is reproducible. If the twin fails, it is switched off, and the flight continues. If it
-    is too slow for this computer, it skips the waiting samples and starts again with the newest one.
-    """
+    # Over a port the twin runs in a separate thread. In lockstep it runs in the thread that reads, so that a
+    # simulated flight is reproducible. If the twin fails, it is switched off, and the flight continues. If it
+    # is too slow for this computer, it skips the waiting samples and starts again with the newest one.
 
     def __init__(self, session: Session, twin: LiveTwin, on_change: Callable[[], None] | None = None) -> None:
         self.alarm = ""

@@ -68,10 +68,8 @@ def file_digest(path: Path) -> str:
 
 
 def decode_text(content: bytes) -> str:
-    """Return the text of a file that a user may have written with any editor.
-
-    A byte order mark, as some editors of Windows write it, is left out. A text in UTF-16 begins with one.
-    """
+    """Return the text of a file that a user may have written with any editor."""
+    # A byte order mark, as some editors of Windows write it, is left out. A text in UTF-16 begins with one.
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
     return content.decode("utf-8-sig")
@@ -94,10 +92,8 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def toml_string(text: str) -> str:
-    """Return a text as a string of TOML, with its quotation marks, such that `parse_toml` reads it back.
-
-    Characters that are not printable are escaped, because they may control a terminal that shows the file.
-    """
+    """Return a text as a string of TOML, with its quotation marks, such that `parse_toml` reads it back."""
+    # Characters that are not printable are escaped, because they may control a terminal that shows the file.
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'
 
@@ -188,10 +184,10 @@ def is_own_file(path: Path) -> bool:
 
 @contextlib.contextmanager
 def replacing(path: str | Path, *, force: bool = False) -> Iterator[Path]:
-    """Write a file next to its place, and move it there when the ``with`` block has ended without an error.
-
-    A full disk, an interrupt or any other error leaves the place as it was.
+    """Write a file next to its place, and move it there when the ``with`` block has ended without an
+    error.
     """
+    # A full disk, an interrupt or any other error leaves the place as it was.
     path = Path(path)
     if not force:
         check_replaceable(path)
@@ -287,11 +283,9 @@ def can_limit() -> bool:
 
 
 def limit_process(kind: str, soft: int, hard: int | None = None) -> None:
-    """Set a limit of this process, as far as its present hard limit permits.
-
-    If the system does not have this limit, nothing changes: Windows has no such limits, and macOS does not
-    limit the address space.
-    """
+    """Set a limit of this process, as far as its present hard limit permits."""
+    # If the system does not have this limit, nothing changes: Windows has no such limits, and macOS does not
+    # limit the address space.
     if sys.platform == "win32" or not can_limit():
         return
     import resource

@@ -178,10 +178,8 @@ def rate(t_s: Floats, angle_rad: Floats, window_s: float = RATE_WINDOW_S) -> Flo
 
 
 def find_gaps(t_s: Floats) -> NDArray[np.intp]:
-    """Return the rows of rising times `t_s`, shape (n,), after which time is missing.
-
-    Row ``k`` is one when ``t_s[k + 1] - t_s[k]`` exceeds 1.75 median steps.
-    """
+    """Return the rows of rising times `t_s`, shape (n,), after which time is missing."""
+    # Row ``k`` is one when ``t_s[k + 1] - t_s[k]`` exceeds 1.75 median steps.
     if t_s.size < 3:
         return np.zeros(0, np.intp)
     step_s = np.diff(t_s)

@@ -35,9 +35,8 @@ far above the rounding of a setpoint in the log."""
 def flown_rows(flight: Flight) -> Booleans:
     """Return the rows in which a control law flew: the board's own, an uploaded law, or the host's. Returns
     shape (n,).
-
-    If the flight marks its phases, only rows after the take-off and before the landing count.
     """
+    # If the flight marks its phases, only rows after the take-off and before the landing count.
     rows = np.ones(len(flight), np.bool_)
     if flight.state is not None:
         rows = _rows_in_state(flight, _OWN) | _rows_in_state(flight, _STREAMED)
@@ -52,11 +51,9 @@ def flown_rows(flight: Flight) -> Booleans:
 
 
 def led_rows(flight: Flight, axis: str) -> Booleans:
-    """Return the rows of `flown_rows` in which an axis followed a setpoint. Returns shape (n,).
-
-    Some control laws have no setpoint for an axis, on the host or on the board. The log then contains the
-    measured angle as the setpoint. Such rows are left out, because their error of zero means nothing.
-    """
+    """Return the rows of `flown_rows` in which an axis followed a setpoint. Returns shape (n,)."""
+    # Some control laws have no setpoint for an axis, on the host or on the board. The log then contains the
+    # measured angle as the setpoint. Such rows are left out, because their error of zero means nothing.
     rows = flown_rows(flight)
     setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
     if setpoint_rad is None:
@@ -101,11 +98,9 @@ interpolated rows does not."""
 
 
 def count_rad(flight: Flight) -> Floats:
-    """Return the angle of one count of each encoder [rad], shape (3,).
-
-    The counts per turn are the board's parameters if the flight has them. Otherwise they are measured, and
-    nan for angles that are not in whole counts or do not move.
-    """
+    """Return the angle of one count of each encoder [rad], shape (3,)."""
+    # The counts per turn are the board's parameters if the flight has them. Otherwise they are measured, and
+    # nan for angles that are not in whole counts or do not move.
     result = np.empty(len(AXES))
     for index, axis in enumerate(AXES):
         # A negative number reverses the direction on the board.
@@ -295,12 +290,12 @@ def step_metrics(
 
 
 def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: float) -> Floats:
-    """Estimate the angle between encoder counts: exact where a count changes, and a cubic between such edges.
-
-    If an axis turns back within a count, or starts or ends in it, the angle may be anywhere in the count. The
-    estimate is then the angle nearest to the end of the step, `end_deg`. Otherwise a coarse encoder would
-    never settle at a setpoint between two of its counts.
+    """Estimate the angle between encoder counts: exact where a count changes, and a cubic between such
+    edges.
     """
+    # If an axis turns back within a count, or starts or ends in it, the angle may be anywhere in the count.
+    # The estimate is then the angle nearest to the end of the step, `end_deg`. Otherwise a coarse encoder
+    # would never settle at a setpoint between two of its counts.
     edges = np.flatnonzero(np.abs(np.diff(angle_deg)) > 0.5 * count_deg) + 1
     low_deg, high_deg = angle_deg - 0.5 * count_deg, angle_deg + 0.5 * count_deg
     nearest_deg: Floats = np.clip(end_deg, low_deg, high_deg)

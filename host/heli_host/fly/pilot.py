@@ -54,17 +54,11 @@ def wait_ticks(session: Session, count: int) -> None:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a flight.
+    """Progress of a flight."""
 
-    Parameters
-    ----------
-    t_s : float
-        Device time since the loops were closed, in seconds.
-    left_s : float or None
-        Device time left until the landing; None during it.
-    phase : str
-        ``take-off``, the name of a plan, or ``landing``.
-    """
+    # `t_s`: Device time since the loops were closed, in seconds.
+    # `left_s`: Device time left until the landing; None during it.
+    # `phase`: ``take-off``, the name of a plan, or ``landing``.
 
     t_s: float
     left_s: float | None
@@ -112,11 +106,11 @@ FLYING = (State.ARMED, State.CLOSED_LOOP, State.HOLD)
 
 
 class FlightMonitor:
-    """Watches one flight. It sends nothing: `heli_host.fly.pilot.Pilot` acts on what it raises.
+    """Watches one flight."""
 
-    A stop from elsewhere, such as a page, is seen here as a state of the board that is not that of a flight.
-    `take_event` runs in the session's reading thread, all other methods in that of `Pilot.fly`.
-    """
+    # It sends nothing: `heli_host.fly.pilot.Pilot` acts on what it raises.
+    # A stop from elsewhere, such as a page, is seen here as a state of the board that is not that of a
+    # flight. `take_event` runs in the session's reading thread, all other methods in that of `Pilot.fly`.
 
     def __init__(self, heli: Heli, recorder: Recorder, end_when: Callable[[], str]) -> None:
         self.was_closed = False
@@ -177,10 +171,8 @@ class FlightMonitor:
         return is_wrong or bool(self._end_when())
 
     def check(self, t_s: float) -> None:
-        """Raise the error that must end the flight, if there is one.
-
-        `t_s`: Device time since the loops were to be closed [s]; they must be closed within 2 s.
-        """
+        """Raise the error that must end the flight, if there is one."""
+        # `t_s`: Device time since the loops were to be closed [s]; they must be closed within 2 s.
         closes_too_slowly = not self.was_closed and t_s > _CLOSING_S
         # Before the reasons are looked at: a log that fails between the two would end the flight without one.
         must_end = self.must_end()
@@ -239,12 +231,11 @@ _STALL_TICKS = 60
 
 
 class RouteStream:
-    """Setpoints of one flight.
+    """Setpoints of one flight."""
 
-    It owns whether setpoints are sent at present, and its lock makes `end` final: no setpoint leaves after it
-    has returned. `take_ticks` runs in the session's reading thread, all other methods in that of
-    `heli_host.fly.pilot.Pilot.fly`. In lockstep both are the same thread.
-    """
+    # It owns whether setpoints are sent at present, and its lock makes `end` final: no setpoint leaves after
+    # it has returned. `take_ticks` runs in the session's reading thread, all other methods in that of
+    # `heli_host.fly.pilot.Pilot.fly`. In lockstep both are the same thread.
 
     def __init__(self, heli: Heli, route: Route, recorder: Recorder, tracking: TrackingMonitor) -> None:
         self.start_tick = 0
@@ -414,41 +405,25 @@ _BEFORE_TICKS = 500
 
 
 class Pilot:
-    """One flight along a route. Every way in which it ends, including an error, leads to a landing or a stop.
+    """One flight along a route."""
 
-    It owns the order of a flight and its outcome, and runs in the thread that calls `fly`. Setpoints go out
-    from `RouteStream`, `FlightMonitor` decides that the flight must end, `PlanLanding` brings the arm down.
-    It switches the motors off in the air only after a second interrupt.
-
-    Parameters
-    ----------
-    heli : Heli
-        Idle, with its arm at rest on the table.
-    route : Route
-        Setpoints over time, from the table on; checked against the board.
-    axes : tuple of str
-        Axes whose loops are closed.
-    recorder : Recorder
-        Records the flight. If it fails, the flight ends in a landing.
-    on_progress : callable taking Progress, optional
-        Called about twenty times per second in the thread of `fly`.
-    tolerance : Tolerance, optional
-        Tracking errors between take-off and landing that still count as tracked.
-    interrupts : Interrupts, optional
-        Handles signals during the flight; without it signals keep their handlers.
-    end_when : callable returning str, optional
-        Returns the reason why the flight must end now, otherwise an empty text. Called after every reading:
-        it must not block.
-    on_taken_off : callable, optional
-        Called once, in the thread of `fly`, when the first plan begins. If it raises, the flight ends in a
-        landing.
-
-    Attributes
-    ----------
-    outcome : str
-        ``completed``; ``not_tracked`` with the axis and its error; ``law_taken_over`` with the reason;
-        ``angle_shifted`` with the axis; or one line with the reason of the end.
-    """
+    # Every way in which it ends, including an error, leads to a landing or a stop.
+    # It owns the order of a flight and its outcome, and runs in the thread that calls `fly`. Setpoints go out
+    # from `RouteStream`, `FlightMonitor` decides that the flight must end, `PlanLanding` brings the arm down.
+    # It switches the motors off in the air only after a second interrupt.
+    # `heli`: Idle, with its arm at rest on the table.
+    # `route`: Setpoints over time, from the table on; checked against the board.
+    # `axes`: Axes whose loops are closed.
+    # `recorder`: Records the flight. If it fails, the flight ends in a landing.
+    # `on_progress`: Called about twenty times per second in the thread of `fly`.
+    # `tolerance`: Tracking errors between take-off and landing that still count as tracked.
+    # `interrupts`: Handles signals during the flight; without it signals keep their handlers.
+    # `end_when`: Returns the reason why the flight must end now, otherwise an empty text. Called after every
+    # reading: it must not block.
+    # `on_taken_off`: Called once, in the thread of `fly`, when the first plan begins. If it raises, the
+    # flight ends in a landing.
+    # `outcome`: ``completed``; ``not_tracked`` with the axis and its error; ``law_taken_over`` with the
+    # reason; ``angle_shifted`` with the axis; or one line with the reason of the end.
 
     def __init__(
         self,
@@ -477,13 +452,12 @@ class Pilot:
         self._excitations = [piece for piece in route.pieces if piece.excitation is not None]
 
     def fly(self) -> None:
-        """Arm, fly the route, land. Blocks until the motors are off, then `outcome` is set.
-
-        An error of the link, the board or the log ends the flight in a landing and appears in `outcome` only.
-        The first interrupt (Ctrl-C) does the same; a second one switches the motors off in the air. Any other
-        error, such as one of ``on_progress``, is raised again after the landing. If the link is lost, the
-        board holds level and lands by itself.
-        """
+        """Arm, fly the route, land."""
+        # Blocks until the motors are off, then `outcome` is set.
+        # An error of the link, the board or the log ends the flight in a landing and appears in `outcome`
+        # only. The first interrupt (Ctrl-C) does the same; a second one switches the motors off in the air.
+        # Any other error, such as one of ``on_progress``, is raised again after the landing. If the link is
+        # lost, the board holds level and lands by itself.
         unsubscribe = self._session.subscribe_ticks(self._stream.take_ticks)
         unsubscribe_events = self._session.subscribe_events(self._monitor.take_event)
         self._monitor.begin()

@@ -167,9 +167,8 @@ class Plan:
 
     @cached_property
     def setpoint_range_deg(self) -> float:
-        """Range of the setpoints after the take-off, the largest of all axes [deg]; 0 if the plan only holds.
-
-        The landing does not count.
+        """Range of the setpoints after the take-off, the largest of all axes [deg]; 0 if the plan only
+        holds.
         """
         at_deg = np.array([self.start.elevation_deg, 0.0, 0.0])
         low_deg = high_deg = at_deg

@@ -67,10 +67,8 @@ class PlanTable:
         raise PlanError(f"{self.where}: {what}", remedy)
 
     def number(self, key: str, spec: Number, default: float | None = None) -> float:
-        """Return a number.
-
-        `default`: Value when the key is missing; without it the key must be there.
-        """
+        """Return a number."""
+        # `default`: Value when the key is missing; without it the key must be there.
         if key not in self.values:
             if default is None:
                 self.fail(f"{key} is missing", f"add {key} = {_example_value(key, spec)}")
@@ -100,10 +98,8 @@ class PlanTable:
         return value
 
     def choice(self, key: str, choices: Iterable[str], default: str | None = None) -> str:
-        """Return one of several words.
-
-        `default`: Value when the key is missing; without it the key must be there.
-        """
+        """Return one of several words."""
+        # `default`: Value when the key is missing; without it the key must be there.
         words = list(choices)
         if key not in self.values and default is None:
             self.fail(f"{key} is missing", f"give one of {', '.join(words)}")
@@ -250,10 +246,9 @@ def sine(from_deg: Floats, amplitude_deg: Floats, period_s: Floats, duration_s: 
 
 
 def fade_s(period_s: Floats, duration_s: float) -> Floats:
-    """Return how long a sine takes to reach its amplitude. Shapes: `period_s` (axes,).
-
-    Over half a period the rate never exceeds that of the full sine, and its acceleration by a third at most.
-    """
+    """Return how long a sine takes to reach its amplitude. Shapes: `period_s` (axes,)."""
+    # Over half a period the rate never exceeds that of the full sine, and its acceleration by a third at
+    # most.
     return np.minimum(0.5 * period_s, 0.5 * duration_s)
 
 

@@ -25,11 +25,10 @@ _SETPOINTS: Final = tuple(Channel[f"{axis.upper()}_SETPOINT"] for axis in AXES)
 
 @dataclass(frozen=True)
 class Tolerance:
-    """Greatest tracking error of each axis, and for how long it may be larger.
+    """Greatest tracking error of each axis, and for how long it may be larger."""
 
-    The error is the angle minus the setpoint that the control law used in that tick. Every shipped rig, with
-    its own gains, stays below 0.3, 1.5 and 9 degrees for 2 s in every built-in plan.
-    """
+    # The error is the angle minus the setpoint that the control law used in that tick. Every shipped rig,
+    # with its own gains, stays below 0.3, 1.5 and 9 degrees for 2 s in every built-in plan.
 
     elevation_deg: float = 3.0  # elevation_deg, pitch_deg, travel_deg: Greatest tracking error [deg]
     pitch_deg: float = 15.0
@@ -97,14 +96,11 @@ class TrackingMonitor:
                 self._update_axis(index, tick, error_deg[:, index], is_beyond[:, index])
 
     def take_end(self, ticks: Ticks, end_tick: int, piece: Piece, is_last: bool) -> None:
-        """Compare the end of a piece of the route with what the plan demands there.
-
-        The board limits the rate of its setpoints, and the error above is that from the limited setpoint. A
-        step that is too short for this rate ends far from its target without such an error.
-
-        `is_last`: Whether the route ends here. Then the arm must have arrived at the target of a step.
-        Otherwise the board's setpoint must be there, or the arm.
-        """
+        """Compare the end of a piece of the route with what the plan demands there."""
+        # The board limits the rate of its setpoints, and the error above is that from the limited setpoint. A
+        # step that is too short for this rate ends far from its target without such an error.
+        # `is_last`: Whether the route ends here. Then the arm must have arrived at the target of a step.
+        # Otherwise the board's setpoint must be there, or the arm.
         tick = ticks.tick.astype(np.int64)
         row = min(int(np.searchsorted(tick, end_tick & 0xFFFFFFFF)), len(tick) - 1)
         raw = ticks.raw[row]

@@ -128,9 +128,8 @@ class ClockFit:
     def _fit_line_below_arrivals(self, newest: _Point) -> ClockEstimate:
         """Fit the line from device tick to host time that lies below all arrivals with the least mean
         lateness.
-
-        The line is moved down by the transit time, which is half of the shortest round trip.
         """
+        # The line is moved down by the transit time, which is half of the shortest round trip.
         anchor = newest
         tick_s = self._estimate.tick_s if self._estimate is not None else TICK_S
         # Over less than half a bin, the lateness of two arrivals would hide the slope.

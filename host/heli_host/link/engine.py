@@ -154,11 +154,11 @@ class Request:
 
 
 class CommandSlot:
-    """The one command that may be in progress. Part of an `Engine`: its callers serialise all calls.
+    """The one command that may be in progress."""
 
-    It owns the command from its start to its answer. `due` returns it whenever it must be sent, again and
-    again, until the answer comes or the time is up.
-    """
+    # Part of an `Engine`: its callers serialise all calls.
+    # It owns the command from its start to its answer. `due` returns it whenever it must be sent, again and
+    # again, until the answer comes or the time is up.
 
     def __init__(self, numbers: RequestNumbers) -> None:
         self.stops = 0
@@ -174,21 +174,17 @@ class CommandSlot:
         return request is not None and request.urgent and not request.done
 
     def ask(self, command: Command, now_s: float, timeout_s: float) -> Request:
-        """Start a command.
-
-        The caller waits for the previous command before it starts the next.
-        """
+        """Start a command."""
+        # The caller waits for the previous command before it starts the next.
         # A protocol's dataclasses are not known to be such.
         numbered = dataclasses.replace(command, request=self._numbers.take())  # type: ignore[type-var]
         self._request = Request(numbered, now_s + timeout_s, now_s)
         return self._request
 
     def preempt(self, command: Command, now_s: float, timeout_s: float) -> Request:
-        """Start a `command` ahead of all others, used for the stop.
-
-        A command in progress is given up with an error. While `preempted` is true the caller must not start
-        another command. `now_s`, `timeout_s` and the returned request are those of `ask`.
-        """
+        """Start a `command` ahead of all others, used for the stop."""
+        # A command in progress is given up with an error. While `preempted` is true the caller must not start
+        # another command. `now_s`, `timeout_s` and the returned request are those of `ask`.
         if self._request is not None and not self._request.done:
             name = self._request.command.ID.name.lower()
             self._request.error = LinkError(f"a stop came before the board answered {name}", "begin again")
@@ -260,10 +256,7 @@ class DeviceTime:
     speed: float  # Device seconds per host second
 
     def since(self, sent_s: float, sent_tick: int) -> float:
-        """Return the device time since a moment [s].
-
-        It follows from the device's speed, but is not much more than the samples show.
-        """
+        """Return the device time since a moment [s]."""
         host_s = self.now_s - sent_s
         seen_s = (self.tick - sent_tick) * TICK_S + _UNSEEN_S
         return max(host_s, min(host_s * self.speed, seen_s))
@@ -299,11 +292,11 @@ class Stream(Generic[Streamed]):
 
 
 class StreamedValues:
-    """Setpoints and voltages on their way to the board. Part of an `Engine`: its callers serialise all calls.
+    """Setpoints and voltages on their way to the board."""
 
-    It owns the values that wait, the setpoint that is kept alive, and the permission to send either. No value
-    has an answer: the newest replaces those before it.
-    """
+    # Part of an `Engine`: its callers serialise all calls.
+    # It owns the values that wait, the setpoint that is kept alive, and the permission to send either. No
+    # value has an answer: the newest replaces those before it.
 
     def __init__(self) -> None:
         self.kept: SetpointMessage | None = None
@@ -356,11 +349,11 @@ class Welcome(Enum):
 
 
 class Handshake:
-    """Hello and welcome. Part of an `Engine`: its callers serialise all calls.
+    """Hello and welcome."""
 
-    It owns whether the session is open, and the newest welcome. While it is not open, it greets every
-    `HELLO_INTERVAL_S`.
-    """
+    # Part of an `Engine`: its callers serialise all calls.
+    # It owns whether the session is open, and the newest welcome. While it is not open, it greets every
+    # `HELLO_INTERVAL_S`.
 
     def __init__(self, session_number: int, numbers: RequestNumbers) -> None:
         self.is_open = False
@@ -449,11 +442,12 @@ class _ParserCounts(NamedTuple):
 
 
 class Engine:
-    """The state of one session. It has no lock and no thread: callers serialise all calls.
+    """The state of one session."""
 
-    It owns the frames in both directions and passes the content of each frame to one of its four parts. A
-    stop goes through `commands`: `CommandSlot.preempt` starts it, and the next `outgoing` returns its frame.
-    """
+    # It has no lock and no thread: callers serialise all calls.
+    # It owns the frames in both directions and passes the content of each frame to one of its four parts. A
+    # stop goes through `commands`: `CommandSlot.preempt` starts it, and the next `outgoing` returns its
+    # frame.
 
     def __init__(self, session_number: int) -> None:
         numbers = RequestNumbers(session_number)
@@ -515,10 +509,8 @@ class Engine:
         return received
 
     def outgoing(self, now_s: float) -> bytes:
-        """Return the frames that are due: a command first, then streamed values, then a ping.
-
-        Before the board has answered the handshake, only a hello is sent.
-        """
+        """Return the frames that are due: a command first, then streamed values, then a ping."""
+        # Before the board has answered the handshake, only a hello is sent.
         self.commands.expire(now_s)
         if not self.handshake.is_open:
             hello = self.handshake.due_hello(now_s)
@@ -546,10 +538,9 @@ class Engine:
         return silence_s >= HEARTBEAT_S or unpinged_s >= CLOCK_PING_S
 
     def frame_past_lock(self, command: type[StopMessage]) -> bytes:
-        """Return the frame of a command that any thread may send without the callers' lock. Nothing changes.
-
-        The leading delimiter ends a frame that another thread has sent only in part.
-        """
+        """Return the frame of a command that any thread may send without the callers' lock."""
+        # Nothing changes.
+        # The leading delimiter ends a frame that another thread has sent only in part.
         return b"\0" + encode_frame(command.ID, self._seq + 1, command(self._numbers.distant()).pack())
 
     def cut(self, now_s: float, wall_ns: int, reason: str) -> LinkEvent:

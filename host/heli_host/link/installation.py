@@ -8,11 +8,9 @@ from typing import cast
 
 
 def plugins(group: str) -> EntryPoints:
-    """Return the entry points of a group.
-
-    A package that is installed later is found by the next process: to read the metadata of all packages takes
-    a third of the time in which a simulated board opens.
-    """
+    """Return the entry points of a group."""
+    # A package that is installed later is found by the next process: to read the metadata of all packages
+    # takes a third of the time in which a simulated board opens.
     return _installed().select(group=group)
 
 

@@ -301,10 +301,10 @@ _START_MOTORS = (ArmMessage, ControlMessage, ExciteMessage, StreamMessage)
 
 
 class Session:
-    """One session with one board. All methods may be called from any thread; commands run one at a time.
+    """One session with one board."""
 
-    The session itself never switches motors off, except by `stop_now`: see `heli_host.Heli.close`.
-    """
+    # All methods may be called from any thread; commands run one at a time.
+    # The session itself never switches motors off, except by `stop_now`: see `heli_host.Heli.close`.
 
     def __init__(
         self,

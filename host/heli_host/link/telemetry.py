@@ -57,12 +57,11 @@ EMPTY_TICKS = Ticks(np.empty(0, np.uint32), np.empty((0, CHANNEL_COUNT), np.int3
 
 
 class _Layout:
-    """Layout of a batch as far as it depends on the channels only.
+    """Layout of a batch as far as it depends on the channels only."""
 
-    ``shape`` is the slice of a payload that determines its length: count and widths. For the base of each
-    channel, ``offset`` (channels,) is its first byte, ``shift`` (channels,) the number of bits above it in a
-    word, and ``bits`` (channels,) a mask of its bits: all 32 for a signed channel, because of its sign.
-    """
+    # ``shape`` is the slice of a payload that determines its length: count and widths. For the base of each
+    # channel, ``offset`` (channels,) is its first byte, ``shift`` (channels,) the number of bits above it in
+    # a word, and ``bits`` (channels,) a mask of its bits: all 32 for a signed channel, because of its sign.
 
     def __init__(self, channels: Sequence[ChannelSpec]) -> None:
         sizes = [struct.calcsize(channel.code) for channel in channels]
@@ -79,12 +78,11 @@ class _Layout:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Positions of the numbers in a batch, for one number of ticks and one set of widths.
+    """Positions of the numbers in a batch, for one number of ticks and one set of widths."""
 
-    ``size`` is the length of the payload, -1 if count or widths are invalid. ``index`` (n, channels) is the
-    first byte of the word of each number; ``left`` and ``right`` (n, channels) are the shifts that extract
-    it.
-    """
+    # ``size`` is the length of the payload, -1 if count or widths are invalid. ``index`` (n, channels) is the
+    # first byte of the word of each number; ``left`` and ``right`` (n, channels) are the shifts that extract
+    # it.
 
     size: int
     index: npt.NDArray[np.intp]
@@ -163,11 +161,9 @@ def _extract(
     left: npt.NDArray[np.uint32],
     right: npt.NDArray[np.int32],
 ) -> npt.NDArray[np.int32]:
-    """Extract the numbers from 32-bit words, shape (n, channels).
-
-    A shift to the left removes the higher bits; an arithmetic shift to the right removes the lower bits and
-    extends the sign.
-    """
+    """Extract the numbers from 32-bit words, shape (n, channels)."""
+    # A shift to the left removes the higher bits; an arithmetic shift to the right removes the lower bits and
+    # extends the sign.
     # Unlike in C, a shift by 32 is defined in numpy: a delta of 0 bits becomes 0.
     return np.asarray((words.take(index) << left).view(np.int32) >> right)
 
@@ -306,10 +302,8 @@ class MissedEvents:
             self._arrived.append(message)
 
     def take_ticks(self, ticks: Ticks) -> list[EventMessage]:
-        """Return the events that new samples imply and that have not arrived.
-
-        `ticks`: At least one sample, in order. All events that arrived before them must have been recorded.
-        """
+        """Return the events that new samples imply and that have not arrived."""
+        # `ticks`: At least one sample, in order. All events that arrived before them must have been recorded.
         modes = ticks.raw[:, MODES]  # (n, modes)
         if self._tick is None:
             self._row = modes[0]
@@ -372,11 +366,10 @@ class AcceptedTelemetry:
 
 
 class TelemetryReceiver:
-    """Telemetry of one session. Part of an `Engine`: its callers serialise all calls. `latest_raw` has shape
-    (channels,).
+    """Telemetry of one session."""
 
-    It owns the newest sample, the count of ticks, and the clock that relates device time to host time.
-    """
+    # Part of an `Engine`: its callers serialise all calls. `latest_raw` has shape (channels,).
+    # It owns the newest sample, the count of ticks, and the clock that relates device time to host time.
 
     def __init__(self) -> None:
         self.account = TickAccount()
@@ -415,10 +408,7 @@ class TelemetryReceiver:
         self._waiting_payloads.append(payload)
 
     def shorten_held(self) -> None:
-        """Keep only the newest batches while no session is open.
-
-        After a reconnect these become samples, once the welcome has said that it is the same start.
-        """
+        """Keep only the newest batches while no session is open."""
         del self._waiting_payloads[:-_HELD_BATCHES]
 
     def discard_held(self) -> None:
@@ -453,11 +443,9 @@ class TelemetryReceiver:
         return AcceptedTelemetry(accepted, self._missed.take_ticks(accepted), jumped_back)
 
     def _without_undeclared(self, ticks: Ticks) -> Ticks:
-        """Return the samples whose enumerations have declared values only.
-
-        Other samples were corrupted on the board before their CRC was computed. Each run of such samples
-        counts as one malformed frame.
-        """
+        """Return the samples whose enumerations have declared values only."""
+        # Other samples were corrupted on the board before their CRC was computed. Each run of such samples
+        # counts as one malformed frame.
         is_declared = declared(ticks.raw)
         if is_declared.all():
             return ticks

@@ -41,10 +41,9 @@ _RESET_PULSE_S = 0.05
 
 @runtime_checkable
 class Transport(Protocol):
-    """Connection to a board, as a session uses it.
+    """Connection to a board, as a session uses it."""
 
-    A session calls `read` from one thread, and `write` from any thread, one call at a time.
-    """
+    # A session calls `read` from one thread, and `write` from any thread, one call at a time.
 
     @property
     def lockstep(self) -> bool:
@@ -82,11 +81,10 @@ class Transport(Protocol):
 
 
 class SerialTransport:
-    """A board behind anything that pyserial can open.
+    """A board behind anything that pyserial can open."""
 
-    Opening clears the port's hang-up flag if the system has one. The kernel then keeps DTR raised when this
-    process ends. Therefore the next process does not reset a board that may still be flying.
-    """
+    # Opening clears the port's hang-up flag if the system has one. The kernel then keeps DTR raised when this
+    # process ends. Therefore the next process does not reset a board that may still be flying.
 
     lockstep = False
 

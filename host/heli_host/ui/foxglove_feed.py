@@ -36,10 +36,9 @@ _END_S: Final = 5.0
 
 
 class FoxgloveFeed:
-    """Sends every tick and event of a session to a server for viewers.
+    """Sends every tick and event of a session to a server for viewers."""
 
-    The link's thread only appends to a queue: neither flight nor stop waits for a viewer.
-    """
+    # The link's thread only appends to a queue: neither flight nor stop waits for a viewer.
 
     def __init__(self, heli: Heli, port: int = 0, *, hidden: bool = False) -> None:
         if importlib.util.find_spec("foxglove") is None:

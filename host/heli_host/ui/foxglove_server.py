@@ -60,12 +60,10 @@ _TICK_BYTES: Final = 4 * (1 + len(Channel))
 
 
 def is_permitted(head: bytes) -> bool:
-    """Return whether a request may reach the server.
-
-    A browser sends the origin of the page that opens a WebSocket; programs send none. Any page that the user
-    visits could otherwise read the samples. The name of the host must be local, because a foreign name may
-    lead to this computer (DNS rebinding).
-    """
+    """Return whether a request may reach the server."""
+    # A browser sends the origin of the page that opens a WebSocket; programs send none. Any page that the
+    # user visits could otherwise read the samples. The name of the host must be local, because a foreign name
+    # may lead to this computer (DNS rebinding).
     headers: dict[str, list[str]] = {}
     for line in head.decode("latin-1").split("\r\n")[1:]:
         name, _, value = line.partition(":")
@@ -148,10 +146,9 @@ def _name(address: str) -> str:
 
 
 class _FoxgloveServer:
-    """Publishes ticks and events to all connected viewers, by the topics and layouts of the log.
+    """Publishes ticks and events to all connected viewers, by the topics and layouts of the log."""
 
-    It advertises no capability: a client can neither publish nor call or set anything.
-    """
+    # It advertises no capability: a client can neither publish nor call or set anything.
 
     def __init__(self, settings: Mapping[str, Any]) -> None:
         import foxglove
@@ -229,10 +226,8 @@ class _FoxgloveServer:
 
 
 def _start_hidden(start_server: Callable[..., Any], **options: Any) -> tuple[Any, str]:
-    """Start a server on a random address of this computer; return it and the address.
-
-    All addresses 127.x.y.z are of this computer. A system that has 127.0.0.1 only gets that one.
-    """
+    """Start a server on a random address of this computer; return it and the address."""
+    # All addresses 127.x.y.z are of this computer. A system that has 127.0.0.1 only gets that one.
     host = f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(256)}.{secrets.randbelow(254) + 1}"
     try:
         return start_server(host=host, **options), host

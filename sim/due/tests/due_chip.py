@@ -29,17 +29,11 @@ PIDS = {
 
 
 class Chip:
-    """A Due whose processor sleeps while the test reads and writes registers.
+    """A Due whose processor sleeps while the test reads and writes registers."""
 
-    Parameters
-    ----------
-    full_speed
-        Bring the clock to 84 MHz, as firmware does.
-    clocks
-        Peripherals whose clock to switch on.
-    strict
-        As on the command line.
-    """
+    # `full_speed`: Bring the clock to 84 MHz, as firmware does.
+    # `clocks`: Peripherals whose clock to switch on.
+    # `strict`: As on the command line.
 
     def __init__(self, *clocks: str, full_speed: bool = True, strict: bool = True) -> None:
         self.due = Due()

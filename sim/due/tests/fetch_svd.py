@@ -20,25 +20,13 @@ MISSING = f"{NAME} is missing: python sim/due/tests/fetch_svd.py"
 
 
 def find() -> Path | None:
-    """The description: where the environment variable HELI_SVD says, or where `main` puts it.
-
-    Returns
-    -------
-    Path or None
-        None when nobody has fetched it.
-    """
+    """The description: where the environment variable HELI_SVD says, or where `main` puts it."""
     places = (Path(os.environ.get("HELI_SVD", "")), DEFAULT / NAME)
     return next((path for path in places if path.is_file()), None)
 
 
 def main(folder: Path) -> int:
-    """Fetch it, unless it is there.
-
-    Parameters
-    ----------
-    folder
-        Where the file goes.
-    """
+    """Fetch it, unless it is there."""
     target = folder / NAME
     if target.exists():
         return 0

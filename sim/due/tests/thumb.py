@@ -22,25 +22,15 @@ Fields = dict[str, int]
 
 @dataclass(frozen=True)
 class Encoding:
-    """One encoding: its bits, its legal fields, and how it may be used in a random program.
+    """One encoding: its bits, its legal fields, and how it may be used in a random program."""
 
-    Parameters
-    ----------
-    name
-        Mnemonic and encoding of the manual.
-    bits
-        16 or 32 characters: 0, 1 or the letter of a field.
-    ok
-        True for fields that the manual defines.
-    reads
-        Letters of registers that address memory: `b` must hold the base, `x` a small index.
-    writes
-        Letters of registers that the instruction changes.
-    in_it
-        Whether it may stand in an IT block.
-    fixed
-        Fields that a random program needs at one value, such as branch offsets.
-    """
+    # `name`: Mnemonic and encoding of the manual.
+    # `bits`: 16 or 32 characters: 0, 1 or the letter of a field.
+    # `ok`: True for fields that the manual defines.
+    # `reads`: Letters of registers that address memory: `b` must hold the base, `x` a small index.
+    # `writes`: Letters of registers that the instruction changes.
+    # `in_it`: Whether it may stand in an IT block.
+    # `fixed`: Fields that a random program needs at one value, such as branch offsets.
 
     name: str
     bits: str
@@ -448,19 +438,12 @@ ENCODINGS: tuple[Encoding, ...] = tuple(_data_processing() + _narrow() + _memory
 
 @dataclass(frozen=True)
 class Block:
-    """A straight piece of random code.
+    """A straight piece of random code."""
 
-    Parameters
-    ----------
-    code
-        Machine code.
-    count
-        Instructions in it, those that a branch skips included.
-    base, index
-        Registers that must hold a RAM address and a small number when it starts.
-    names
-        Encoding of each instruction, for the message of a failed comparison.
-    """
+    # `code`: Machine code.
+    # `count`: Instructions in it, those that a branch skips included.
+    # `base`, `index`: Registers that must hold a RAM address and a small number when it starts.
+    # `names`: Encoding of each instruction, for the message of a failed comparison.
 
     code: bytes
     count: int
@@ -493,15 +476,7 @@ def _choose(rng: random.Random, base: int, index: int, in_it: bool) -> tuple[Enc
 
 
 def random_block(rng: random.Random, length: int = 60) -> Block:
-    """A block of about `length` random instructions.
-
-    Parameters
-    ----------
-    rng
-        Source of randomness.
-    length
-        Instructions wanted; a few more may come with IT blocks and branches.
-    """
+    """A block of about `length` random instructions."""
     base, index = rng.sample(
         [0, 1, 2, 3, 4, 5, 6, 7] if rng.random() < 0.6 else [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12], 2
     )
@@ -540,13 +515,7 @@ _NAMES = [*(f"r{i}" for i in range(13)), "sp", "lr", "pc", "xpsr"]
 
 
 class Oracle:
-    """Both processors, with the same memory.
-
-    Parameters
-    ----------
-    core
-        The emulator under test.
-    """
+    """Both processors, with the same memory."""
 
     def __init__(self) -> None:
         unicorn = pytest.importorskip("unicorn", reason="unicorn is missing: pip install unicorn")

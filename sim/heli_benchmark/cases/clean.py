@@ -21,10 +21,9 @@ from heli_benchmark.plant import HiddenEffect
 
 
 class Stream(IntEnum):
-    """Streams of random numbers of one seed: a case changes in one respect without a change in the others.
+    """Streams of random numbers of one seed: a case changes in one respect without a change in the others."""
 
-    The numbers are those of published results. A new subject takes an unused number.
-    """
+    # The numbers are those of published results. A new subject takes an unused number.
 
     SIZE = 0
     RIG = 1

@@ -318,10 +318,11 @@ Maker = Callable[[float, np.random.Generator], HiddenEffect]
 
 @dataclass(frozen=True)
 class OnAxis:
-    """Factory of an effect of a class, `kind`, at a `place`: number of an axis or rotor, or names of bodies.
-
-    Unlike a lambda, it can be pickled.
+    """Factory of an effect of a class, `kind`, at a `place`: number of an axis or rotor, or names of
+    bodies.
     """
+
+    # Unlike a lambda, it can be pickled.
 
     kind: Callable[..., HiddenEffect]
     place: Any
@@ -394,10 +395,10 @@ OTHER_FORMS: dict[str, tuple[str, Maker, float]] = {
 
 
 class SpeedLag(HiddenEffect):
-    """Thrust is the square of a rotor speed that lags; `size` is the time constant in s. It acts first.
+    """Thrust is the square of a rotor speed that lags; `size` is the time constant in s."""
 
-    At 2 V the thrust equals that of the straight line with a dead zone of 1 V.
-    """
+    # It acts first.
+    # At 2 V the thrust equals that of the straight line with a dead zone of 1 V.
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)

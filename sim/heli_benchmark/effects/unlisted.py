@@ -68,10 +68,9 @@ class BumpyPitch(HiddenEffect):
 
 
 class WanderingThrust(HiddenEffect):
-    """The thrust of the front rotor varies slowly, as with worn brushes; `size` is its relative deviation.
+    """The thrust of the front rotor varies slowly, as with worn brushes; `size` is its relative deviation."""
 
-    If both rotors varied alike, it would be a random torque about elevation.
-    """
+    # If both rotors varied alike, it would be a random torque about elevation.
 
     def __init__(self, size: float, rng: np.random.Generator) -> None:
         super().__init__(size, rng)

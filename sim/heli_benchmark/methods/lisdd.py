@@ -49,10 +49,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
 
 
 def _clean_residual(regression: ResidualRegression, regimes: np.ndarray) -> Floats:
-    """Fit the rig parameters to the clean regimes, and return the residual in units of its noise there.
-
-    The clean regimes are the half with the least residual energy. Fit and choice are repeated three times.
-    """
+    """Fit the rig parameters to the clean regimes, and return the residual in units of its noise there."""
+    # The clean regimes are the half with the least residual energy. Fit and choice are repeated three times.
     is_clean = np.ones(len(regimes), bool)
     prior = np.eye(regression.nuisance.shape[1])
     for _ in range(3):

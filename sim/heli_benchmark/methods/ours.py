@@ -63,11 +63,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
 
 
 def _rig_parameters(diagnosis: Diagnosis, causes: list[dict[str, Any]], nominal: Rig) -> dict[str, Estimate]:
-    """Return the rig parameters that the diagnosis changed, fitted together with all named causes.
-
-    A fit without a cause would imitate it with parameters of the rig. Unlike the parameters in the JSON,
-    these also include the constant torques and encoder zeros.
-    """
+    """Return the rig parameters that the diagnosis changed, fitted together with all named causes."""
+    # A fit without a cause would imitate it with parameters of the rig. Unlike the parameters in the JSON,
+    # these also include the constant torques and encoder zeros.
     with_unconfirmed = any(c["confidence"] >= 0.5 and not c.get("confirmed", True) for c in causes)
     rig = diagnosis.rig("extended", with_unconfirmed=with_unconfirmed)
     return {

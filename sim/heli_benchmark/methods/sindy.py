@@ -52,10 +52,8 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
 
 
 def _best_terms(regression: ResidualRegression) -> list[Term]:
-    """Return the best term of each listed cause, and all terms of unlisted causes.
-
-    A listed cause has several terms if its moment or frequency is unknown.
-    """
+    """Return the best term of each listed cause, and all terms of unlisted causes."""
+    # A listed cause has several terms if its moment or frequency is unknown.
     best: dict[str, Term] = {}
     for term in regression.terms:
         key = term.cause if term.parameters else f"{term.cause} {len(best)}"

@@ -70,10 +70,8 @@ def search_equations(regression: ResidualRegression) -> list[AxisEquation]:
 
 
 def _most_similar(regression: ResidualRegression, predicted: np.ndarray, axis: int) -> tuple[str, float]:
-    """Return the cause whose term correlates most with a prediction about an axis, and the correlation.
-
-    If no term is similar enough, the cause is unlisted.
-    """
+    """Return the cause whose term correlates most with a prediction about an axis, and the correlation."""
+    # If no term is similar enough, the cause is unlisted.
     cause, highest = UNLISTED, _UNLISTED_SIMILARITY
     centred = predicted - predicted.mean()
     for term in regression.terms:

@@ -97,10 +97,7 @@ class AccelerationModel:
         expression: ca.SX,
         changed_values: Mapping[str, float] | None = None,
     ) -> Floats:
-        """Evaluate an `expression` of shape (3, m) along a flight, shape (n, 3, m).
-
-        Its compiled function is kept under `key`.
-        """
+        """Evaluate an `expression` of shape (3, m) along a flight, shape (n, 3, m)."""
         if key not in self._functions:
             self._functions[key] = ca.Function("f", self._arguments, [ca.densify(expression)])
         n, values = len(flight.t_s), self._values.copy()
@@ -114,21 +111,17 @@ class AccelerationModel:
 
 
 def _smoothing_kernels(half_window: int, step_s: float) -> tuple[Floats, Floats, Floats]:
-    """Return the filters that give a smoothed signal and its first and second derivative.
-
-    They fit a polynomial of degree 3 to the 2 `half_window` + 1 samples around each sample.
-    """
+    """Return the filters that give a smoothed signal and its first and second derivative."""
+    # They fit a polynomial of degree 3 to the 2 `half_window` + 1 samples around each sample.
     window = 2 * half_window + 1
     smooth, first, second = (savgol_coeffs(window, 3, deriv=order, delta=step_s) for order in range(3))
     return smooth, first, second
 
 
 def _weak_kernels(half_window: int, step_s: float) -> tuple[Floats, Floats, Floats]:
-    """Return the test function (1 - x^2)^4, zeros, and the second derivative of the test function.
-
-    In the weak form, a signal is averaged with the test function as its weight. Integrating by parts twice
-    moves the second derivative from the angles, which are noisy, to the test function.
-    """
+    """Return the test function (1 - x^2)^4, zeros, and the second derivative of the test function."""
+    # In the weak form, a signal is averaged with the test function as its weight. Integrating by parts twice
+    # moves the second derivative from the angles, which are noisy, to the test function.
     x = np.arange(-half_window, half_window + 1) / (half_window + 1.0)
     x_per_s = 1.0 / ((half_window + 1.0) * step_s)
     test = (1.0 - x**2) ** 4
@@ -318,10 +311,8 @@ def _listed_terms(case: BenchmarkCase, smooth: Sequence[SmoothedFlight]) -> list
 def _lag_terms(
     case: BenchmarkCase, smooth: Sequence[SmoothedFlight], nominal: AccelerationModel
 ) -> list[Term]:
-    """Return the terms of the lag and of the delay of the thrust.
-
-    Voltages that act T seconds late differ, to first order, by -T times their derivative.
-    """
+    """Return the terms of the lag and of the delay of the thrust."""
+    # Voltages that act T seconds late differ, to first order, by -T times their derivative.
     by_lag = [
         motion.filtered(-np.einsum("nij,nj->ni", nominal.by_volts(motion), motion.volt_rates_V_s)[:, :, None])
         for motion in smooth

@@ -69,10 +69,7 @@ class DiagnosedCase(NamedTuple, Generic[_Case]):
 
 
 def diagnosed_cases(cases: Iterable[_Case]) -> Iterator[DiagnosedCase[_Case]]:
-    """Fly and diagnose `cases`.
-
-    A case whose rig leaves the safe range is reported and skipped.
-    """
+    """Fly and diagnose `cases`."""
     for case in cases:
         try:
             flights = case.both_flights()
@@ -238,10 +235,8 @@ def _motors_on_s(flight: Flight, rig: Rig) -> float:
 def _cached_result(
     path: Path, made_by: str, keep: bool, compute: Callable[[], dict[str, Any]]
 ) -> dict[str, Any]:
-    """Return the result in the file `path`; if it is missing or outdated, `compute` and write it.
-
-    A result is outdated if code of another digest than `made_by` wrote it, unless `keep` is set.
-    """
+    """Return the result in the file `path`; if it is missing or outdated, `compute` and write it."""
+    # A result is outdated if code of another digest than `made_by` wrote it, unless `keep` is set.
     if path.exists():
         earlier: dict[str, Any] = json.loads(path.read_text())
         if keep or earlier["made_by"] == made_by:

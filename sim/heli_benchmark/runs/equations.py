@@ -76,9 +76,8 @@ _AXES = ("elevation", "pitch", "travel")
 
 @dataclass(frozen=True)
 class TrueEquationEffect(Effect):
-    """The true `equation` as an effect of a model: its size is free, its other `numbers` are the true ones.
-
-    The other fields are those of `Effect`.
+    """The true `equation` as an effect of a model: its size is free, its other `numbers` are the true
+    ones.
     """
 
     equation: TrueEquation = field(default_factory=lambda: EQUATIONS["pitch_by_elevation"])

@@ -46,10 +46,8 @@ class ImportedFlight:
 
 
 def mistakes(flights: Sequence[ImportedFlight], truth: ImportTruth) -> list[str]:
-    """Name all differences between imported flights and the truth; empty if the import is right.
-
-    The beginning of a flight's clock is free. Each flight is placed where its motion is that of the truth.
-    """
+    """Name all differences between imported flights and the truth; empty if the import is right."""
+    # The beginning of a flight's clock is free. Each flight is placed where its motion is that of the truth.
     differences: list[str] = []
     spans: list[tuple[float, float]] = []
     shifts_s: list[float] = []
@@ -170,10 +168,8 @@ def _voltage_mistakes(
 
 
 def _values_near(samples: Samples, at_s: Floats, tolerance_s: float) -> Floats:
-    """Return the values of each row within the tolerance of its time, shape (3, n).
-
-    Rows of a clock that jitters are brought to even times, and the voltage may be switched between the two.
-    """
+    """Return the values of each row within the tolerance of its time, shape (3, n)."""
+    # Rows of a clock that jitters are brought to even times, and the voltage may be switched between the two.
     return np.array([_last_value(samples, at_s + shift_s) for shift_s in (0.0, -tolerance_s, tolerance_s)])
 
 
@@ -183,10 +179,8 @@ def _last_value(samples: Samples, at_s: Floats) -> Floats:
 
 
 def _shift(flight: ImportedFlight, truth: ImportTruth, longer_s: Sequence[float]) -> float:
-    """Find the time of the truth minus that of an imported flight, by the motion of all angles.
-
-    The parts of a flight may have one clock, so the times of longer parts, `longer_s`, are preferred.
-    """
+    """Find the time of the truth minus that of an imported flight, by the motion of all angles."""
+    # The parts of a flight may have one clock, so the times of longer parts, `longer_s`, are preferred.
     true_s = truth.samples["pitch"].t_s
     rows = np.unique(np.linspace(0, flight.t_s.size - 1, min(flight.t_s.size, 500)).round().astype(int))
     first_s, last_s = true_s[0] - flight.t_s[0] - 1.0, true_s[-1] - flight.t_s[-1] + 1.0

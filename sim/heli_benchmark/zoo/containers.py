@@ -247,11 +247,9 @@ def _write_parquet(case: LogCase, folder: Path, rng: np.random.Generator) -> Pat
 
 
 def _write_bag(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
-    """Write topics of angles, voltages and extra columns.
-
-    The angles have stamps of their sensor; the voltages have a header, or none. With `two clocks`, the clock
-    of the stamps differs from that of the recorder by a constant.
-    """
+    """Write topics of angles, voltages and extra columns."""
+    # The angles have stamps of their sensor; the voltages have a header, or none. With `two clocks`, the
+    # clock of the stamps differs from that of the recorder by a constant.
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 

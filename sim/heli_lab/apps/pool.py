@@ -126,11 +126,9 @@ def _rig_diagnosis_of_json(path: Path, content: Mapping[str, Any]) -> RigDiagnos
 
 
 def without_prior(value: float, std: float, prior: ParameterEstimate) -> ParameterEstimate | None:
-    """Remove the prior from an estimate, because all rigs of a type share this prior.
-
-    The posterior density is the product of the prior and the marginal likelihood of the flights. For normal
-    densities, the precision of the flights is the posterior precision minus the prior precision.
-    """
+    """Remove the prior from an estimate, because all rigs of a type share this prior."""
+    # The posterior density is the product of the prior and the marginal likelihood of the flights. For normal
+    # densities, the precision of the flights is the posterior precision minus the prior precision.
     posterior_precision, prior_precision = std**-2.0, prior.std**-2.0
     precision = posterior_precision - prior_precision
     if precision < _MIN_INFORMATION_SHARE * prior_precision:

@@ -124,11 +124,9 @@ def _without_unused_values(program: _Program, outputs: list[int]) -> tuple[_Prog
 def _assign_cells(
     program: _Program, outputs: list[int], parameter_count: int, state_count: int
 ) -> tuple[list[Instruction], list[int]]:
-    """Assign a cell of the board's memory to every value, and write the instructions. Returns
-    `instructions`, `output_cells`.
-
-    A cell is free again after the last operation that reads its value.
-    """
+    """Assign a cell of the board's memory to every value, and write the instructions."""
+    # Returns `instructions`, `output_cells`.
+    # A cell is free again after the last operation that reads its value.
     first_cell = {"input": 0, "constant": len(LAW_INPUTS)}
     first_cell["parameter"] = first_cell["constant"] + len(program.constants)
     first_cell["state"] = first_cell["parameter"] + parameter_count
@@ -207,11 +205,9 @@ class _Program:
         return index
 
     def copy_value(self, other: _Program, index: int, new_index: dict[int, int]) -> None:
-        """Copy a value of another program, and add its new index to `new_index`.
-
-        `new_index`: For each value copied so far, its index in this program by its index in `other`. The
-        operands of the value must be among them.
-        """
+        """Copy a value of another program, and add its new index to `new_index`."""
+        # `new_index`: For each value copied so far, its index in this program by its index in `other`. The
+        # operands of the value must be among them.
         value = other.values[index]
         if value.kind == "constant":
             new_index[index] = self.constant(other.constants[value.detail])
@@ -452,10 +448,8 @@ def _reindexed(product: _Product, new_index: dict[int, int]) -> _Product:
 def _expand_to_products(
     program: _Program, readers: Counter[int], index: int, factor: float, is_root: bool = False
 ) -> list[_Product]:
-    """Expand a value of the program, times a factor, into products.
-
-    A value that several operations read is not expanded, because it is computed once anyway.
-    """
+    """Expand a value of the program, times a factor, into products."""
+    # A value that several operations read is not expanded, because it is computed once anyway.
     value = program.values[index]
     if value.kind not in _LINEAR or (readers[index] > 1 and not is_root):
         return [_Product(factor, index)]
@@ -499,10 +493,7 @@ def _cost_on_board(name: str) -> int:
 
 
 def _append_cheapest_sum(program: _Program, products: list[_Product]) -> int:
-    """Append the sum of some products to a program; return the index of the result.
-
-    The sum becomes one operation, or single additions and multiplications if they cost less.
-    """
+    """Append the sum of some products to a program; return the index of the result."""
     if not products:
         return program.constant(0.0)
     products = [_with_two_operands(program, product) for product in products]
@@ -519,11 +510,11 @@ def _append_cheapest_sum(program: _Program, products: list[_Product]) -> int:
 
 
 def _with_two_operands(program: _Program, product: _Product) -> _Product:
-    """Simplify a product so that a sum of products can hold it, which has two operands and a sign per term.
-
-    A constant with a factor becomes another constant. The product of two values with a factor becomes one
-    value with that factor.
+    """Simplify a product so that a sum of products can hold it, which has two operands and a sign per
+    term.
     """
+    # A constant with a factor becomes another constant. The product of two values with a factor becomes one
+    # value with that factor.
     number = program.constant_number(product.first)
     if number is not None and product.second is None:
         return _Product(1.0, program.constant(product.factor * number))

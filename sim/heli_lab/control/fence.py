@@ -55,10 +55,8 @@ class FileLimits:
 
 
 def fence_process(limits: FileLimits) -> None:
-    """Apply the limits to this process, until it ends.
-
-    On systems other than Linux, only the audit hook and the limits that the system offers apply.
-    """
+    """Apply the limits to this process, until it ends."""
+    # On systems other than Linux, only the audit hook and the limits that the system offers apply.
     seconds = math.ceil(time.process_time() + limits.cpu_s)
     # SIGXCPU states the reason; a file that ignores it is killed a second later.
     limit_process("CPU", seconds, seconds + 1)

@@ -103,13 +103,8 @@ class Law:
 
     @cached_property
     def program(self) -> LawProgram:
-        """The law compiled for the board.
-
-        Raises
-        ------
-        BadLaw
-            No board could run it; the message says why and what to do.
-        """
+        """The law compiled for the board."""
+        # BadLaw: No board could run it; the message says why and what to do.
         return compile_program(
             self.function,
             name=self.name,
@@ -256,10 +251,7 @@ def _call_with_symbols(
 
 
 def _setpoints_for_log(command: Command, now: SimpleNamespace) -> list[Any]:
-    """Choose the setpoints of elevation, pitch and travel for the log.
-
-    A setpoint that the law does not give is the board's, and for pitch the measured angle.
-    """
+    """Choose the setpoints of elevation, pitch and travel for the log."""
     defaults = (now.elevation_setpoint_rad, now.pitch_rad, now.travel_setpoint_rad)
     setpoints = []
     for name, default in zip(SETPOINTS, defaults, strict=True):

@@ -80,12 +80,10 @@ def load_law(path: Path, limit_s: float = FILE_LIMIT_s, rig: str | None = None) 
 
 
 def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawProgram:
-    """Run an untrusted file in a fenced process, and return the program of its ``LAW``.
-
-    The process has limits of time and memory, and can write no file, open no socket and start no process. Its
-    answer is checked, and everything that it prints is discarded. The file can still read all files that you
-    can read.
-    """
+    """Run an untrusted file in a fenced process, and return the program of its ``LAW``."""
+    # The process has limits of time and memory, and can write no file, open no socket and start no process.
+    # Its answer is checked, and everything that it prints is discarded. The file can still read all files
+    # that you can read.
     # Reading a pipe or a device of this name would never end.
     check_files([path])
     options = (f"{limits.cpu_s}", f"{limits.memory_MB}")
@@ -206,10 +204,8 @@ def _answer_to(path: Path) -> dict[str, Any]:
 
 
 def _program_or_error(path: Path) -> dict[str, str]:
-    """Run an untrusted file, and compile its law.
-
-    `path`: The file. The limits of this process must be set before.
-    """
+    """Run an untrusted file, and compile its law."""
+    # `path`: The file. The limits of this process must be set before.
     answer = _answer_to(path)
     law = answer["law"]
     if law is None:

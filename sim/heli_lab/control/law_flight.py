@@ -26,11 +26,10 @@ from heli_host.ui.cli.say import QUIET
 def fly_law(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, LawTrial]:
-    """Fly a plan with a law. Returns `flown`, `trial`.
-
-    The caller must write the files of the flight, and then call `FlownFlight.raise_if_not_completed`, which
-    raises if the board's own law took over.
-    """
+    """Fly a plan with a law."""
+    # Returns `flown`, `trial`.
+    # The caller must write the files of the flight, and then call `FlownFlight.raise_if_not_completed`, which
+    # raises if the board's own law took over.
     flown, taken_over = flown_with(program, options, plan, typed)
     if not taken_over and not flown.summary.completed:
         # No trial can be measured, so the caller cannot write these files.
@@ -41,10 +40,8 @@ def fly_law(
 
 
 def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) -> LawTrial:
-    """Fly a plan with a law, and return the result only: no output is printed, and no file is kept.
-
-    A takeover by the board's own law is a result. Any other end before the plan's is an error.
-    """
+    """Fly a plan with a law, and return the result only: no output is printed, and no file is kept."""
+    # A takeover by the board's own law is a result. Any other end before the plan's is an error.
     quiet_setting = QUIET.set(True)
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -63,10 +60,8 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
 def flown_with(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, str]:
-    """Fly a plan with a law, and return the flight, whether it was completed or not.
-
-    Returns `flown`, and `taken_over`: why the board's own law took over; empty if it did not.
-    """
+    """Fly a plan with a law, and return the flight, whether it was completed or not."""
+    # Returns `flown`, and `taken_over`: why the board's own law took over; empty if it did not.
     from heli_host.board.law_flight import engage
 
     flown = fly_plans(
@@ -155,11 +150,7 @@ def trial_plan(duration_s: float) -> Plan:
 
 
 def flight_of_law(path: Path) -> Flight:
-    """Read a log, and cut it to the rows that a control law flew.
-
-    A law that was uploaded over the link has priority; otherwise, the rows of a controller on the host or of
-    the board's own control law are returned.
-    """
+    """Read a log, and cut it to the rows that a control law flew."""
     flight = read_flight(path, allow_gaps=True)
     if flight.setpoints_rad is None:
         raise FlightDataError(

@@ -13,10 +13,7 @@ from heli_host.link.clock import TICK_S
 
 
 class _RateFilter:
-    """Estimates the rate of a signal by two low-pass filters in series, as in firmware/core/control.
-
-    The rate is the slope of the second filter.
-    """
+    """Estimates the rate of a signal by two low-pass filters in series, as in firmware/core/control."""
 
     def __init__(self, cutoff_Hz: float) -> None:
         self.cutoff_Hz = cutoff_Hz
@@ -60,12 +57,11 @@ class _Shaper:
 
 
 class Streamed:
-    """A law as a controller for `heli_host.Heli.run_controller`.
+    """A law as a controller for `heli_host.Heli.run_controller`."""
 
-    The board has no setpoints while voltages are streamed. The setpoints are therefore those given to
-    `follow`, shaped here as the board would. The number of steps of the law depends on the times of the
-    samples: a law of 1 kHz that is called at 200 Hz takes five steps per call, with the same inputs.
-    """
+    # The board has no setpoints while voltages are streamed. The setpoints are therefore those given to
+    # `follow`, shaped here as the board would. The number of steps of the law depends on the times of the
+    # samples: a law of 1 kHz that is called at 200 Hz takes five steps per call, with the same inputs.
 
     def __init__(self, runner: Callable[[Floats], Floats], dt_s: float, params: Mapping[str, float]) -> None:
         self._runner = runner

@@ -92,10 +92,8 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[A
 
 
 def absence_probability(value: float, std: float) -> float:
-    """Return the posterior probability that a parameter is zero, by Bayes' rule.
-
-    The alternative hypothesis is a parameter that is log-normal about the rig file's value.
-    """
+    """Return the posterior probability that a parameter is zero, by Bayes' rule."""
+    # The alternative hypothesis is a parameter that is log-normal about the rig file's value.
     std = max(std, thresholds.ABSENT_MIN_STD)
     # The alternative is integrated over a logarithmic grid of values.
     present_values = np.geomspace(1e-3, 1e3, 4001)
@@ -125,12 +123,10 @@ class Influence(NamedTuple):
 def influences(
     comparison: ModelComparison, search: Search, extended: Hypothesis, before: Prediction, after: Prediction
 ) -> Mapping[str, Influence]:
-    """Compute what changes without each cause.
-
-    The model with all causes is compared with the refitted model without the cause, on the axis where they
-    differ most. The change is the root mean square difference of their predictions on the fitted flights. If
-    the model without the cause adds a larger error on the held-out flights, the change is that error.
-    """
+    """Compute what changes without each cause."""
+    # The model with all causes is compared with the refitted model without the cause, on the axis where they
+    # differ most. The change is the root mean square difference of their predictions on the fitted flights.
+    # If the model without the cause adds a larger error on the held-out flights, the change is that error.
     if not extended.candidates or after.train.total > DISTURBED_STD:
         return {}
     samples_with_all = normalised_samples(after.fit)
@@ -162,11 +158,11 @@ def influences(
 def spline_change(
     comparison: ModelComparison, search: Search, extended: Hypothesis, after: Prediction
 ) -> float:
-    """Compute by how much the spline terms of a search change the 2 s open-loop prediction, encoder counts.
-
-    The final model is compared with the `extended` model, which lacks only them, as `influences`
-    does; `after` is the prediction of the latter. Infinite without spline terms.
+    """Compute by how much the spline terms of a search change the 2 s open-loop prediction, encoder
+    counts.
     """
+    # The final model is compared with the `extended` model, which lacks only them, as `influences` does;
+    # `after` is the prediction of the latter. Infinite without spline terms.
     if extended is search.final or after.train.total > DISTURBED_STD:
         return math.inf
     final = predict(search.final.estimate, comparison.train, comparison.held_out)
@@ -176,10 +172,8 @@ def spline_change(
 
 
 def _largest_counts(mean_squares: Floats) -> float:
-    """Return the largest root mean square of the axes, in encoder counts.
-
-    `mean_squares` (3,) are in units of the quantisation's variance, which is a twelfth of a squared count.
-    """
+    """Return the largest root mean square of the axes, in encoder counts."""
+    # `mean_squares` (3,) are in units of the quantisation's variance, which is a twelfth of a squared count.
     return float(np.sqrt(mean_squares / 12.0).max())
 
 
@@ -257,11 +251,9 @@ _NUMBERS = 2 * len(GAINS)
 def justified_thrust_noise(
     comparison: ModelComparison, search: Search, assessment: Assessment
 ) -> ModelComparison | None:
-    """Return the comparison with a thrust that varies at random, if that is needed and justified.
-
-    It is needed if the verdict is ``unexplained``. It is justified if it adds more to the log-likelihood of
-    all flights than its BIC penalty, and more than the predictors and splines that it is to replace.
-    """
+    """Return the comparison with a thrust that varies at random, if that is needed and justified."""
+    # It is needed if the verdict is ``unexplained``. It is justified if it adds more to the log-likelihood of
+    # all flights than its BIC penalty, and more than the predictors and splines that it is to replace.
     if assessment.verdict.label != "unexplained":
         return None
     without_spline_terms = without_splines(comparison, search)
@@ -285,10 +277,9 @@ def with_likelier_advance(
 ) -> ModelComparison | None:
     """Return the comparison in which voltages act earlier or later within the rows of their log, if the
     flights are much more likely so with the `final` model of a search.
-
-    None if they are not, if no log can be slower than the control loop, or if the model has a delay, which is
-    a negative advance.
     """
+    # None if they are not, if no log can be slower than the control loop, or if the model has a delay, which
+    # is a negative advance.
     is_slow = any(may_be_slower(record, loop_Hz) for record in comparison.train)
     if not is_slow or final.estimate.functions.model.source.delay:
         return None
@@ -421,10 +412,8 @@ def with_curves(
 def _on_all_flights(
     screenings: Sequence[Screening], acceptance: Acceptance, present_ids: Sequence[str]
 ) -> list[_JointScore]:
-    """Score listed effects that may join the causes with one coefficient for all flights, the best first.
-
-    An effect at a moment is left out, because its moment belongs to one flight.
-    """
+    """Score listed effects that may join the causes with one coefficient for all flights, the best first."""
+    # An effect at a moment is left out, because its moment belongs to one flight.
     kinds = acceptance.kinds
     compatible = [kind for kind in kinds.values() if may_join(kind.id, present_ids, kinds)]
     scored = [

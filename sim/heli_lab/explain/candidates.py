@@ -44,10 +44,8 @@ class Candidate:
 
     @property
     def neutral(self) -> dict[str, float]:
-        """Values of its sizes at which it has practically no influence, within the priors' bounds.
-
-        Its sizes are the linear parameters, or, if there are none, the first parameter that has a prior.
-        """
+        """Values of its sizes at which it has practically no influence, within the priors' bounds."""
+        # Its sizes are the linear parameters, or, if there are none, the first parameter that has a prior.
         sizes = self.linear_parameters or tuple(self.effect.priors)[:1]
         values = {}
         for name in sizes:
@@ -101,9 +99,8 @@ class ScoredCandidate:
 def effect_candidates(kind: EffectSpec, seconds: float) -> list[Candidate]:
     """Return one candidate per point of the grid of an effect of this `kind`, over a flight of so many
     `seconds`.
-
-    At each point the effect has the size 0, or its typical values if it has no size.
     """
+    # At each point the effect has the size 0, or its typical values if it has no size.
     grid_values = kind.grid_values(seconds)
     values = kind.neutral if kind.size else kind.typical
     candidates = []
@@ -222,10 +219,8 @@ class SplineTerm(Effect):
 
 
 def bspline(distance: ca.SX) -> ca.SX:
-    """Return a cubic B-spline with knots at distance 1 (de Boor 1978), as a function of a `distance`.
-
-    The distance is that from its centre. The value is 2/3 at the centre, and 0 beyond distance 2.
-    """
+    """Return a cubic B-spline with knots at distance 1 (de Boor 1978), as a function of a `distance`."""
+    # The distance is that from its centre. The value is 2/3 at the centre, and 0 beyond distance 2.
     outer = ca.fmax(2.0 - ca.fabs(distance), 0.0)
     inner = ca.fmax(1.0 - ca.fabs(distance), 0.0)
     return (outer**3 - 4.0 * inner**3) / 6.0
@@ -283,12 +278,10 @@ def channel_quantity_pairs() -> list[tuple[str, str]]:
 
 
 def _is_testable(channel: str, quantity: str) -> bool:
-    """Whether a dependence of a channel on a quantity would show a cause, and not a property of every log.
-
-    The controller feeds the quantisation error back, so in every log a measured angle depends on thrust. A
-    measured angle that depends on the rate of its axis was read late or early. Every log has such a shift of
-    up to half a sample.
-    """
+    """Whether a dependence of a channel on a quantity would show a cause, and not a property of every log."""
+    # The controller feeds the quantisation error back, so in every log a measured angle depends on thrust. A
+    # measured angle that depends on the rate of its axis was read late or early. Every log has such a shift
+    # of up to half a sample.
     _, _, measured_axis = channel.partition("measurement.")
     if not measured_axis:
         return True
@@ -307,22 +300,20 @@ class CandidateSignals(NamedTuple):
 
 
 class ChangeAlongTrajectory(NamedTuple):
-    """Changes that an effect makes along a trajectory.
+    """Changes that an effect makes along a trajectory."""
 
-    `rates` has the shape (n, states, g), and `measured_rad` the shape (n, 3, g), where g counts coefficients.
-    Entries are zero if the effect does not change them.
-    """
+    # `rates` has the shape (n, states, g), and `measured_rad` the shape (n, 3, g), where g counts
+    # coefficients. Entries are zero if the effect does not change them.
 
     rates: Floats
     measured_rad: Floats
 
 
 class ChangeFunctions:
-    """Cache of the functions that compute how candidates change a `model`.
+    """Cache of the functions that compute how candidates change a `model`."""
 
-    All flights share them, because compiling one takes longer than evaluating it along a flight of one
-    minute.
-    """
+    # All flights share them, because compiling one takes longer than evaluating it along a flight of one
+    # minute.
 
     def __init__(self, model: Model) -> None:
         self.model = model
@@ -375,10 +366,7 @@ class Regressors:
         return CandidateSignals(rates, at_nodes.measured_rad)
 
     def spline_signals(self, candidate: Candidate) -> CandidateSignals:
-        """Compute the change of the flight by one unit of each coefficient of a spline term.
-
-        This is the change by one unit on the channel of the term, times each B-spline basis function.
-        """
+        """Compute the change of the flight by one unit of each coefficient of a spline term."""
         term = candidate.effect
         assert isinstance(term, SplineTerm)
         rates, measured_rad = self.influence(term)
@@ -390,10 +378,7 @@ class Regressors:
         return CandidateSignals(rates * basis, measured_rad * basis if np.any(measured_rad) else None)
 
     def influence(self, term: SplineTerm) -> ChangeAlongTrajectory:
-        """Return the change of the flight by one unit on a channel, such as 1 N m about pitch.
-
-        It is computed once per channel, because all spline terms of a channel share it.
-        """
+        """Return the change of the flight by one unit on a channel, such as 1 N m about pitch."""
         if term.channel not in self._channel_changes:
             extended_model = self._functions.extended(f"spline:{term.channel}", term, ())
             # The basis functions add up to 1: with all coefficients 1 the term is 1, whatever its quantity.
@@ -404,11 +389,9 @@ class Regressors:
         return self._channel_changes[term.channel]
 
     def _delayed_rates(self, candidate: Candidate) -> Floats:
-        """Return the changes of the rates by delayed voltages, shape (n, states, 1).
-
-        The logged voltages are averaged over a step of the trajectory, then interpolated at delayed times.
-        The change is taken between two interpolations, so that averaging itself changes nothing.
-        """
+        """Return the changes of the rates by delayed voltages, shape (n, states, 1)."""
+        # The logged voltages are averaged over a step of the trajectory, then interpolated at delayed times.
+        # The change is taken between two interpolations, so that averaging itself changes nothing.
         trajectory, record = self.linear.trajectory, self.linear.reference.record
         # A logged voltage is held over its row, so it counts at the middle of the row.
         row_middle_s = record.t_s - record.t_s[0] + 0.5 * record.step_s
@@ -428,12 +411,11 @@ class Regressors:
 
 
 class _Symbols(NamedTuple):
-    """CasADi symbols on which the equations of an extended model depend.
+    """CasADi symbols on which the equations of an extended model depend."""
 
-    The states of the model, `x`, and those of the effect, `z`, are separate symbols. Trajectories contain `x`
-    only; `z` is integrated along them. `extended_x` has the symbols of both, in the order of the extended
-    model. `u` are the voltages, `p` the parameters of the extended model, and `t` is the time.
-    """
+    # The states of the model, `x`, and those of the effect, `z`, are separate symbols. Trajectories contain
+    # `x` only; `z` is integrated along them. `extended_x` has the symbols of both, in the order of the
+    # extended model. `u` are the voltages, `p` the parameters of the extended model, and `t` is the time.
 
     x: ca.SX
     z: ca.SX
@@ -444,11 +426,10 @@ class _Symbols(NamedTuple):
 
 
 class ExtendedModel:
-    """A model with one more effect, which computes how the effect changes rates and measured angles.
+    """A model with one more effect, which computes how the effect changes rates and measured angles."""
 
-    An effect that is linear in some parameters is described by derivatives: the change by one unit of each.
-    Any other effect is described by a difference: the model with it less the model without it.
-    """
+    # An effect that is linear in some parameters is described by derivatives: the change by one unit of each.
+    # Any other effect is described by a difference: the model with it less the model without it.
 
     def __init__(self, model: Model, effect: Effect, linear_parameters: Sequence[str]) -> None:
         self.model, self.linear_parameters = model, linear_parameters

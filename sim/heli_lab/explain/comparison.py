@@ -92,10 +92,7 @@ class FilteredFlights:
 
 
 def filter_with_baseline(model: Model, rig: Rig, records: Sequence[Record]) -> FilteredFlights:
-    """Estimate a baseline on some flights, and filter their states with it.
-
-    Estimation and filtering alternate, because each needs the result of the other.
-    """
+    """Estimate a baseline on some flights, and filter their states with it."""
     references = tuple(filter_record(record) for record in records)
     parameter_vector = RigParameters(model, rig, records)
     functions = model_functions(model, parameter_vector.quantities)
@@ -342,10 +339,7 @@ def cache_key(
 
 
 def _effect_source(effect: Effect) -> str:
-    """Return the source code of an effect, because a user may change it in an effect file.
-
-    An effect without a source file has its name instead.
-    """
+    """Return the source code of an effect, because a user may change it in an effect file."""
     try:
         return inspect.getsource(type(effect))
     except (OSError, TypeError):
@@ -353,10 +347,8 @@ def _effect_source(effect: Effect) -> str:
 
 
 def fingerprint(model: Model, rig: Rig, records: Iterable[Record]) -> str:
-    """Return a digest of everything that all estimates of a search depend on.
-
-    This is the `model`, the `rig`, the flights (`records`), and the code of the estimation.
-    """
+    """Return a digest of everything that all estimates of a search depend on."""
+    # This is the `model`, the `rig`, the flights (`records`), and the code of the estimation.
     digest = hashlib.sha256(code_digest(packages=_PACKAGES).encode())
     effects = [(effect.name, sorted(effect.values.items())) for effect in model.effects]
     digest.update(repr((model.name, effects)).encode())
@@ -376,10 +368,7 @@ _ROUNDING_NATS: Final = 0.1
 
 
 class ModelComparison:
-    """Estimates models with different candidates on the same flights.
-
-    `refit` estimates a model on the fitted flights; `held_out_estimate` evaluates it on the held-out flights.
-    """
+    """Estimates models with different candidates on the same flights."""
 
     def __init__(
         self,
@@ -444,10 +433,9 @@ class ModelComparison:
         return other
 
     def with_thrust_noise(self) -> ModelComparison:
-        """Return a comparison in which the thrust of each rotor varies at random, in addition to torques.
-
-        The flights are not filtered again, so that likelihoods with and without thrust noise can be compared.
-        """
+        """Return a comparison in which the thrust of each rotor varies at random, in addition to torques."""
+        # The flights are not filtered again, so that likelihoods with and without thrust noise can be
+        # compared.
         model = type(self.model)((*self.model.effects, ROTOR_GAINS))
         other = self._variant("thrust noise", model, self.train, self.held_out)
         other.fits = self.fits
@@ -459,20 +447,16 @@ class ModelComparison:
         return other
 
     def refit_with_thrust_noise(self, hypothesis: Hypothesis) -> Hypothesis:
-        """Refit a `hypothesis` with thrust noise.
-
-        Call this on the result of `with_thrust_noise`; the hypothesis is from the comparison without it.
-        """
+        """Refit a `hypothesis` with thrust noise."""
+        # Call this on the result of `with_thrust_noise`; the hypothesis is from the comparison without it.
         if not hypothesis.candidates:
             return self.filtering_baseline
         disturbances = hypothesis.estimate.disturbances.with_gains(len(GAINS))
         return self.refit_from(hypothesis.candidates, hypothesis.params, disturbances)
 
     def folds(self) -> ModelComparison | None:
-        """Return a comparison that fits one half of the fitted flights and holds the other half out.
-
-        The result is None if one of the halves is shorter than `SHORT_s`.
-        """
+        """Return a comparison that fits one half of the fitted flights and holds the other half out."""
+        # The result is None if one of the halves is shorter than `SHORT_s`.
         folds = two_folds(self.train)
         if any(sum(record.used_s for record in fold) < SHORT_s for fold in folds):
             return None
@@ -481,19 +465,15 @@ class ModelComparison:
     def _variant(
         self, side: str, model: Model, train: Sequence[Record], held_out: Sequence[Record]
     ) -> ModelComparison:
-        """Return a comparison with the same rig, seed and cache.
-
-        `side` is added to the keys of its estimates, so that they do not replace those of this comparison.
-        """
+        """Return a comparison with the same rig, seed and cache."""
+        # `side` is added to the keys of its estimates, so that they do not replace those of this comparison.
         side = f"{self.side}{side} "
         return ModelComparison(model, self.rig, train, held_out, seed=self.seed, cache=self._cache, side=side)
 
     @property
     def can_test_held_out(self) -> bool:
-        """Whether residuals of the held-out flights can be tested.
-
-        Parameters that were estimated from a few seconds are too uncertain to test them on another flight.
-        """
+        """Whether residuals of the held-out flights can be tested."""
+        # Parameters that were estimated from a few seconds are too uncertain to test them on another flight.
         return bool(self.held_out) and sum(record.used_s for record in self.train) > SHORT_s
 
     @cached_property
@@ -508,12 +488,10 @@ class ModelComparison:
         start: Mapping[str, float] | None = None,
         warm_start: Hypothesis | None = None,
     ) -> Hypothesis:
-        """Estimate the model with some candidates.
-
-        `warm_start`: Hypothesis whose parameters and disturbances to start from. If `candidates` contain all
-        of its candidates, the result must be at least as likely; if it is not, the estimation is repeated
-        from values at which the new candidates have no influence.
-        """
+        """Estimate the model with some candidates."""
+        # `warm_start`: Hypothesis whose parameters and disturbances to start from. If `candidates` contain
+        # all of its candidates, the result must be at least as likely; if it is not, the estimation is
+        # repeated from values at which the new candidates have no influence.
         previous_count = len(self._cache.used_keys)
         result = self._estimate(candidates, start or {}, warm_start)
         if warm_start is not None:
@@ -536,10 +514,7 @@ class ModelComparison:
         start: Mapping[str, float],
         warm_start: Hypothesis,
     ) -> Estimate:
-        """Return the `result` of a refit, or a more likely estimate from another start.
-
-        Another start is tried if the result is less likely than a model that it contains.
-        """
+        """Return the `result` of a refit, or a more likely estimate from another start."""
         likelihood = result.log_likelihood
         if not set(warm_start.ids) <= {candidate.id for candidate in candidates}:
             # The warm start has other candidates. An earlier estimate of a submodel may be a better start.
@@ -558,10 +533,8 @@ class ModelComparison:
         return retry if retry.log_likelihood > likelihood else result
 
     def in_flight(self, hypothesis: Hypothesis) -> bool:
-        """Whether all events of a `hypothesis` happen well within the free flight of their flights.
-
-        At the edge of a flight, a step cannot be distinguished from a constant.
-        """
+        """Whether all events of a `hypothesis` happen well within the free flight of their flights."""
+        # At the edge of a flight, a step cannot be distinguished from a constant.
         values = hypothesis.params
         for candidate in hypothesis.candidates:
             effect = candidate.effect
@@ -592,10 +565,7 @@ class ModelComparison:
         )
 
     def with_effects(self, hypothesis: Hypothesis, candidates: Sequence[Candidate]) -> Hypothesis:
-        """Return a `hypothesis` with other `candidates` that act alike in the fitted flights.
-
-        The estimate is unchanged. This adds, for example, the moment of an event in a held-out flight.
-        """
+        """Return a `hypothesis` with other `candidates` that act alike in the fitted flights."""
         estimate_ = replace(hypothesis.estimate, parameter_vector=self._parameter_vector(candidates))
         return Hypothesis(tuple(candidates), estimate_)
 
@@ -607,11 +577,9 @@ class ModelComparison:
     def refit_from(
         self, candidates: Sequence[Candidate], start: Mapping[str, float], disturbances: DisturbanceModel
     ) -> Hypothesis:
-        """Estimate the model with some `candidates` on the fitted flights.
-
-        The estimation begins at `start`, values by name, and at the `disturbances` of a similar model, which
-        may be those of other flights.
-        """
+        """Estimate the model with some `candidates` on the fitted flights."""
+        # The estimation begins at `start`, values by name, and at the `disturbances` of a similar model,
+        # which may be those of other flights.
         vector = self._parameter_vector(candidates)
         theta, disturbances = vector.started_from(start), replace(disturbances, curvature=None)
         result = self._cache.estimate(
@@ -623,11 +591,9 @@ class ModelComparison:
         return Hypothesis(tuple(candidates), result)
 
     def held_out_estimate(self, hypothesis: Hypothesis, warm_start: Estimate | None = None) -> Estimate:
-        """Evaluate a `hypothesis` on the held-out flights.
-
-        Only constants of each flight, such as encoder zeros, and disturbances are estimated. Parameters that
-        all flights share stay at their values in the hypothesis.
-        """
+        """Evaluate a `hypothesis` on the held-out flights."""
+        # Only constants of each flight, such as encoder zeros, and disturbances are estimated. Parameters
+        # that all flights share stay at their values in the hypothesis.
         fitted = hypothesis.estimate
         shared = fitted.parameter_vector.shared_by_name(fitted.theta)
         vector = RigParameters(fitted.parameter_vector.model, self.rig, self.held_out, fixed=shared)
@@ -656,11 +622,9 @@ def _estimate_from(
     theta: Floats,
     warm_start: Hypothesis | None,
 ) -> Estimate:
-    """Estimate a model, starting from `theta` and from the disturbances of `warm_start`.
-
-    If that is far more likely than the warm start, the estimation is repeated from other disturbances, and
-    the more likely estimate is returned.
-    """
+    """Estimate a model, starting from `theta` and from the disturbances of `warm_start`."""
+    # If that is far more likely than the warm start, the estimation is repeated from other disturbances, and
+    # the more likely estimate is returned.
     if warm_start is None:
         return estimate(parameter_vector, references, functions, theta)
     first = estimate(parameter_vector, references, functions, theta, warm_start.estimate.disturbances)

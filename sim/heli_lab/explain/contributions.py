@@ -70,11 +70,10 @@ _THRUST_CHANGE: Final = "change of "
 
 
 def quantities_and_thrust_changes(linear: LinearisedFlight) -> dict[str, Floats]:
-    """Return the quantities that a torque may depend on, shape (n,) each, in SI units by name.
-
-    These are the quantities of spline terms, and the change of the thrusts within a time, on which lags and
-    delays depend. The change is the difference between a thrust and the same thrust behind a first-order lag.
-    """
+    """Return the quantities that a torque may depend on, shape (n,) each, in SI units by name."""
+    # These are the quantities of spline terms, and the change of the thrusts within a time, on which lags and
+    # delays depend. The change is the difference between a thrust and the same thrust behind a first-order
+    # lag.
     values = quantity_values(linear.model.source, linear.trajectory)
     for name, time_constant_s in itertools.product(("thrust", "thrust_difference"), _LAGS_s):
         lagged_N = _first_order_lag(values[name], linear.trajectory.step_s / time_constant_s)
@@ -122,10 +121,8 @@ def _share_of_curve(quantity: Floats, contribution: Floats) -> float:
 
 
 def _first_order_lag(values: Floats, step_share: float) -> Floats:
-    """Return values (n,) behind a first-order lag whose output starts at the first value.
-
-    `step_share` is the sampling interval divided by the time constant.
-    """
+    """Return values (n,) behind a first-order lag whose output starts at the first value."""
+    # `step_share` is the sampling interval divided by the time constant.
     # Without scipy.signal, whose import takes longer than this loop for an hour of flight.
     gain = -math.expm1(-step_share)
     lagged = itertools.accumulate(values.tolist(), lambda output, value: output + gain * (value - output))
@@ -138,12 +135,11 @@ TIME: Final = "time of the flight"
 
 @dataclass(frozen=True)
 class MissingTerm:
-    """Torque about one axis, or error of one encoder, that a model lacks without one of its causes.
+    """Torque about one axis, or error of one encoder, that a model lacks without one of its causes."""
 
-    The arrays have one row per measurement of the filter for a torque, and one row per point of a curve for
-    an angle. All values are in display units. The mean of a torque is subtracted, because every model has a
-    constant torque as a parameter.
-    """
+    # The arrays have one row per measurement of the filter for a torque, and one row per point of a curve for
+    # an angle. All values are in display units. The mean of a torque is subtracted, because every model has a
+    # constant torque as a parameter.
 
     id: str  # The cause: an effect's id, or ``spline:CHANNEL:QUANTITY``
     what: str  # what, unit: ``torque`` in mN m, or ``angle`` in degrees
@@ -280,10 +276,8 @@ class _MeasurementBlocks:
 
 
 def contributed_torques_Nm(estimate: Estimate, reduced: Estimate) -> list[Floats]:
-    """Compute the torque that is equivalent to an effect along each flight. Returns shape (n, 3).
-
-    The torque causes the difference between the accelerations with and without the effect.
-    """
+    """Compute the torque that is equivalent to an effect along each flight. Returns shape (n, 3)."""
+    # The torque causes the difference between the accelerations with and without the effect.
     return [
         flight_without.disturbance_for(_accelerations_rad_s2(flight) - _accelerations_rad_s2(flight_without))
         for flight, flight_without in zip(
@@ -324,11 +318,9 @@ def missing_torque(
 
 
 def _smoothed_torques(filtered: InnovationsModel, disturbances: DisturbanceModel) -> SmoothedDisturbances:
-    """Estimate the mean disturbance torques of each measurement's block, all flights one after the other.
-
-    The contribution of a cause is a mean over the block, too. At the first step of a block, a fast
-    disturbance is larger: with a correlation time of 40 ms and blocks of 20 ms by 27 %.
-    """
+    """Estimate the mean disturbance torques of each measurement's block, all flights one after the other."""
+    # The contribution of a cause is a mean over the block, too. At the first step of a block, a fast
+    # disturbance is larger: with a correlation time of 40 ms and blocks of 20 ms by 27 %.
     by_flight = smoothed_disturbances(filtered, disturbances, block_means=True)
     return SmoothedDisturbances(*(np.concatenate(arrays) for arrays in zip(*by_flight, strict=True)))
 
@@ -341,11 +333,9 @@ def _accelerations_rad_s2(linear: LinearisedFlight) -> Floats:
 
 
 def _most_explained_axis(torque_Nm: Floats, missing_Nm: Floats, contribution_Nm: Floats) -> int:
-    """Return the index of the axis on which a cause explains the missing torque best.
-
-    This is the axis with the largest ratio of the torque of the cause, `torque_Nm` (n, 3), to the torque that
-    it leaves unexplained; `missing_Nm` and `contribution_Nm` have the shape (measurements, 3).
-    """
+    """Return the index of the axis on which a cause explains the missing torque best."""
+    # This is the axis with the largest ratio of the torque of the cause, `torque_Nm` (n, 3), to the torque
+    # that it leaves unexplained; `missing_Nm` and `contribution_Nm` have the shape (measurements, 3).
     # Standard deviations leave out the means: the mean elevation torque of a thrust curve would hide the
     # pitch torque of its lag.
     unexplained_std_Nm = (missing_Nm - contribution_Nm).std(axis=0)
@@ -398,20 +388,16 @@ def _without_effect(estimate: Estimate, name: str) -> Estimate:
 
 
 def _with_fixed_effect(estimate: Estimate, cause: Candidate) -> Estimate:
-    """Return the estimate with the parameters of a cause fixed.
-
-    If they were free, they would explain the angle that `missing_angle` estimates as a spline.
-    """
+    """Return the estimate with the parameters of a cause fixed."""
+    # If they were free, they would explain the angle that `missing_angle` estimates as a spline.
     values = estimate.parameter_vector.by_name(estimate.theta)
     fixed = {name: values[name] for name in cause.effect.values if name in values}
     return _with_model(estimate, estimate.parameter_vector.model, fixed)
 
 
 def _with_model(estimate: Estimate, model: Model, fixed: Mapping[str, float]) -> Estimate:
-    """Return the estimate of another model at the same values of all parameters that it shares.
-
-    `fixed` has the parameters that are not free, by name. The covariance is that of the priors.
-    """
+    """Return the estimate of another model at the same values of all parameters that it shares."""
+    # `fixed` has the parameters that are not free, by name. The covariance is that of the priors.
     values = estimate.parameter_vector.by_name(estimate.theta)
     records = [reference.record for reference in estimate.references]
     vector = RigParameters(model, estimate.parameter_vector.rig, records, fixed=fixed)

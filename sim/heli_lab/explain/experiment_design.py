@@ -333,11 +333,11 @@ def _wider_range(search: Search, assessment: Assessment) -> ExperimentDesign:
 
 
 def _closest_pair(comparison: ModelComparison, search: Search, assessment: Assessment) -> Pair | None:
-    """Return the extended model, and the same model with its least certain cause replaced by an alternative.
-
-    The alternative is the closest one. The result is None if no cause is ambiguous, or if the search did not
-    refit the alternative.
+    """Return the extended model, and the same model with its least certain cause replaced by an
+    alternative.
     """
+    # The alternative is the closest one. The result is None if no cause is ambiguous, or if the search did
+    # not refit the alternative.
     ambiguous_causes = [cause for cause in assessment.verdict.causes if cause.ambiguous_with]
     if not ambiguous_causes:
         return None

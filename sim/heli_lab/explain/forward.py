@@ -83,12 +83,10 @@ def _forward_share(rounds: float) -> float:
 def limited_std(
     kind: EffectSpec, values: Mapping[str, float], std: Mapping[str, float], record: Record
 ) -> dict[str, float]:
-    """Return standard errors that are not smaller than the resolution of the flights.
-
-    Three limits apply. A time constant or delay is uncertain by a part of a sample, because voltages are held
-    over a sample. A size is uncertain by a share of itself, because the model averages over its steps. An
-    effect between an axis and its encoder is uncertain by a part of a count.
-    """
+    """Return standard errors that are not smaller than the resolution of the flights."""
+    # Three limits apply. A time constant or delay is uncertain by a part of a sample, because voltages are
+    # held over a sample. A size is uncertain by a share of itself, because the model averages over its steps.
+    # An effect between an axis and its encoder is uncertain by a part of a count.
     channel, _, axis = kind.acts_on.partition(".")
     std_by_name = {}
     for parameter in kind.parameters:
@@ -105,11 +103,9 @@ def limited_std(
 
 
 def time_std_s(std_s: float, step_s: float) -> float:
-    """Return the standard error of a time constant or delay that the flights support [s].
-
-    Voltages are held over a step, so a time is uncertain by a part of it, and by what a controller answers
-    within it.
-    """
+    """Return the standard error of a time constant or delay that the flights support [s]."""
+    # Voltages are held over a step, so a time is uncertain by a part of it, and by what a controller answers
+    # within it.
     return math.hypot(thresholds.TIME_STD_FACTOR * std_s, 0.5 * step_s)
 
 
@@ -121,11 +117,10 @@ such as a play of 0.000 degrees that gained 289 nats (2026-11)."""
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Decides whether a refitted candidate belongs into the model.
+    """Decides whether a refitted candidate belongs into the model."""
 
-    A candidate is accepted if its log-likelihood ratio exceeds its penalty by `min_margin`, its size is
-    significant, and the moment at which it acts, if it has one, is within the free flight.
-    """
+    # A candidate is accepted if its log-likelihood ratio exceeds its penalty by `min_margin`, its size is
+    # significant, and the moment at which it acts, if it has one, is within the free flight.
 
     comparison: ModelComparison
     kinds: Mapping[str, EffectSpec]
@@ -133,8 +128,6 @@ class Acceptance:
     def penalty(self, candidate: Candidate, grid_points: int = 0) -> float:
         """Return the complexity penalty of a `candidate`, nats: BIC for its parameters, and the logarithm of
         the number of tests.
-
-        The tests are one per candidate of the catalogue, and `grid_points` of the candidate's grid.
         """
         free_count = len(set(candidate.effect.priors) | set(candidate.grid))
         coefficient_weight = thresholds.SPLINE_COEFFICIENT_WEIGHT if candidate.is_spline else 1.0
@@ -211,10 +204,8 @@ def _significant_sizes(hypothesis: Hypothesis, kind: EffectSpec, record: Record)
 
 
 def is_neutral(hypothesis: Hypothesis, candidate: Candidate, kinds: Mapping[str, EffectSpec]) -> bool:
-    """Whether all sizes of an effect ended at their neutral values.
-
-    A gain of such a refit comes from better estimates of the other parameters.
-    """
+    """Whether all sizes of an effect ended at their neutral values."""
+    # A gain of such a refit comes from better estimates of the other parameters.
     kind = kinds.get(candidate.id)
     if kind is None:
         return False
@@ -288,9 +279,8 @@ def tightly_specified_terms(
 def _shrunk_prior_nats(screening: Screening, kind: EffectSpec) -> float:
     """Return the log-likelihood that the priors of a term's parameters cost, because the fit has made them
     smaller than the rig file states, nats.
-
-    Without the term, the parameters return to their priors, so that a refit gains this much.
     """
+    # Without the term, the parameters return to their priors, so that a refit gains this much.
     estimate = screening.estimate
     deviations: dict[str, float] = estimate.parameter_vector.by_name(estimate.prior_deviations)
     shrunk = (min(deviations[name], 0.0) for name in kind.override if name in deviations)
@@ -304,13 +294,12 @@ PAUSE_FAMILIES: Final = ("coulomb_friction", "backlash")
 def better_rival(comparison: ModelComparison, best: Refit, accepted: Sequence[Refit]) -> Refit:
     """Return the more likely one on all flights of `best` and its rival, the other effect that makes the same
     count pause.
-
-    The fitted flights alone may prefer the wrong effect, because it fits their peculiarities. While each
-    measurement of a rest counted, friction of 0.03 N m gained 207 nats more there than the play that was
-    hidden in a measured flight, and 516 nats less on the held-out flight. Since a rest counts once, the
-    fitted flights alone would have made the same choice in 16 simulated and measured flights; in one of
-    them, it is wrong (2026-11).
     """
+    # The fitted flights alone may prefer the wrong effect, because it fits their peculiarities. While each
+    # measurement of a rest counted, friction of 0.03 N m gained 207 nats more there than the play that was
+    # hidden in a measured flight, and 516 nats less on the held-out flight. Since a rest counts once, the
+    # fitted flights alone would have made the same choice in 16 simulated and measured flights; in one of
+    # them, it is wrong (2026-11).
     family, _, axis = best.candidate.id.partition(".")
     if family not in PAUSE_FAMILIES or not comparison.held_out:
         return best
@@ -410,11 +399,9 @@ class RoundRefits:
         return better_rival(self.comparison, largest, accepted)
 
     def better_base(self) -> Hypothesis | None:
-        """Return a more likely estimate of the base; None without one.
-
-        A refit may end without its candidate and be more likely all the same. The other parameters had then
-        not reached their best values.
-        """
+        """Return a more likely estimate of the base; None without one."""
+        # A refit may end without its candidate and be more likely all the same. The other parameters had then
+        # not reached their best values.
         neutral = [
             refit
             for refit in self.refits
@@ -477,10 +464,8 @@ class RoundRefits:
                 self.refits.append(Refit(reduced, gain, penalty, term.log_likelihood_gain, term.candidate.id))
 
     def best_after_splines(self, splines: Sequence[ScoredCandidate]) -> Refit | None:
-        """Let the best of the `splines` compete with the best effect; return the refit to accept.
-
-        A spline displaces a listed effect only after that effect was refitted over its grid.
-        """
+        """Let the best of the `splines` compete with the best effect; return the refit to accept."""
+        # A spline displaces a listed effect only after that effect was refitted over its grid.
         best = self.best
         required_margin = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
         if (
@@ -552,10 +537,10 @@ def paused_play(
     base: Hypothesis, screening: Screening, kinds: Mapping[str, EffectSpec], refitted_ids: Collection[str]
 ) -> list[ScoredCandidate]:
     """Propose play of typical size for axes whose count often pauses: a score test leaves out that a play
-    changes the variance of measurements within it. On four simulated flights with a play, scores were 29 to
-    243 nats, and refits gained 625 to 1958 nats (2026-11). Next to other causes a score may be too low for a
-    refit.
+    changes the variance of measurements within it.
     """
+    # On four simulated flights with a play, scores were 29 to 243 nats, and refits gained 625 to 1958 nats
+    # (2026-11). Next to other causes a score may be too low for a refit.
     shares = _flagged_share(
         reference.pause_s[reference.rows] > RETURN_s for reference in _references(screening)
     )
@@ -580,10 +565,7 @@ def _typical_proposals(
     base: Hypothesis,
     refitted_ids: Collection[str],
 ) -> list[ScoredCandidate]:
-    """Return effects of a `family` with their typical size, one for each proposed axis.
-
-    Effects that may not join `base`, and those in `refitted_ids`, are left out.
-    """
+    """Return effects of a `family` with their typical size, one for each proposed axis."""
     proposals = []
     for axis, proposed in zip(AXES, is_proposed, strict=True):
         id_ = f"{family}.{axis}"
@@ -600,11 +582,9 @@ def _typical_proposals(
 
 
 def _grid_neighbours(scored: ScoredCandidate, kinds: Mapping[str, EffectSpec]) -> list[list[Candidate]]:
-    """Return the neighbours of a candidate on the grid of a parameter without a prior.
-
-    The lists have the nearest grid point, the points of larger values, and those of smaller values, each
-    from the nearest on. Without exactly one such parameter, there is one list with the candidate.
-    """
+    """Return the neighbours of a candidate on the grid of a parameter without a prior."""
+    # The lists have the nearest grid point, the points of larger values, and those of smaller values, each
+    # from the nearest on. Without exactly one such parameter, there is one list with the candidate.
     candidate, kind = scored.candidate, kinds.get(scored.candidate.id)
     grid_only = [name for name in candidate.grid if name not in candidate.effect.priors]
     if kind is None or len(grid_only) != 1:

@@ -43,10 +43,9 @@ fail."""
 
 @dataclass(frozen=True)
 class WindowErrors:
-    """Squared errors of free runs at one horizon, summed over each window of 2 s.
+    """Squared errors of free runs at one horizon, summed over each window of 2 s."""
 
-    The windows are the same at all horizons, because a bootstrap must resample nearly independent units.
-    """
+    # The windows are the same at all horizons, because a bootstrap must resample nearly independent units.
 
     squares_rad2: Floats  # (w, 3): Sum of squared errors of each axis
     rows: Floats  # (w,): Number of samples of each window
@@ -208,10 +207,9 @@ def _window_errors(fit: Fit, window_rows: Sequence[int]) -> WindowErrors:
 
 @dataclass(frozen=True)
 class NormalisedError:
-    """Root mean square free-run error, in standard deviations of the encoders' quantisation.
+    """Root mean square free-run error, in standard deviations of the encoders' quantisation."""
 
-    It is 1 if the model is right.
-    """
+    # It is 1 if the model is right.
 
     total: float  # Over all axes
     axes: Floats  # (3,): By axis: elevation, pitch, travel
@@ -232,11 +230,9 @@ class Prediction:
 
 
 def predict(estimate: Estimate, train: Sequence[Record], held_out: Sequence[Record]) -> Prediction:
-    """Simulate flights in free runs of 2 s with the parameters of an estimate in innovations form.
-
-    Quantities that differ from flight to flight (encoder zeros, a constant torque about each axis) are
-    estimated from the free runs themselves, because innovations carry little information about constants.
-    """
+    """Simulate flights in free runs of 2 s with the parameters of an estimate in innovations form."""
+    # Quantities that differ from flight to flight (encoder zeros, a constant torque about each axis) are
+    # estimated from the free runs themselves, because innovations carry little information about constants.
     fit = _free_run(estimate, train, own_calibration=True)
     held_out_fit = _free_run(estimate, held_out, own_calibration=False) if held_out else None
     train_error = normalised_error(fit)
@@ -251,21 +247,17 @@ def normalised_error(fit: Fit) -> NormalisedError:
 
 
 def normalised_samples(fit: Fit) -> Floats:
-    """Return the open-loop errors of a fit at every sample of its flights, shape (n, 3).
-
-    The unit is the standard deviation of each encoder's quantisation.
-    """
+    """Return the open-loop errors of a fit at every sample of its flights, shape (n, 3)."""
+    # The unit is the standard deviation of each encoder's quantisation.
     return np.concatenate(
         [fit.problem.residual(index, fit.theta, states, fine=True) for index, states in enumerate(fit.states)]
     )
 
 
 def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bool) -> Fit:
-    """Simulate `records` in free runs with the parameters of an estimate.
-
-    Only zeros, constant torques and initial states are fitted. `own_calibration` states whether the records
-    are those of the estimate; the result then has the parameters and the covariance of the estimate.
-    """
+    """Simulate `records` in free runs with the parameters of an estimate."""
+    # Only zeros, constant torques and initial states are fitted. `own_calibration` states whether the records
+    # are those of the estimate; the result then has the parameters and the covariance of the estimate.
     parameter_vector = estimate.parameter_vector
     flight_priors = {
         parameter.quantity: parameter.prior
@@ -281,10 +273,7 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
 
 
 def _with_estimate(fit: Fit, estimate: Estimate) -> Fit:
-    """Put parameters and covariance of an `estimate` into a `fit` of the same flights.
-
-    The fit keeps its own zeros and constant torques.
-    """
+    """Put parameters and covariance of an `estimate` into a `fit` of the same flights."""
     vector = estimate.parameter_vector
     calibrated = {
         (parameter.quantity, parameter.record): value

@@ -48,19 +48,15 @@ _ACTS_ON: Final = {"thrust": "thrust", "voltage": "input"}
 
 
 def expression(equation: Equation, channel: str, numbers: Mapping[str, float] | None = None) -> str:
-    """Write the terms of an `equation` on a `channel` for SymPy.
-
-    Parameters have their names, or their values if `numbers` gives these by name.
-    """
+    """Write the terms of an `equation` on a `channel` for SymPy."""
+    # Parameters have their names, or their values if `numbers` gives these by name.
     texts = {name: f"{value:.5g}" for name, value in numbers.items()} if numbers else None
     return _channel_sum(equation, channel, "sympy", texts)
 
 
 def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str:
-    """Write an `equation` in LaTeX, one part per channel.
-
-    Parameters have symbols, or their values if `numbers` gives these by name.
-    """
+    """Write an `equation` in LaTeX, one part per channel."""
+    # Parameters have symbols, or their values if `numbers` gives these by name.
     if numbers is not None:
         texts = {name: _number_latex(value) for name, value in numbers.items()}
     else:
@@ -73,10 +69,8 @@ def latex(equation: Equation, numbers: Mapping[str, float] | None = None) -> str
 
 
 def _channel_sum(equation: Equation, channel: str, notation: str, texts: Mapping[str, str] | None) -> str:
-    """Write the sum of the terms on a channel in a notation, ``sympy`` or ``latex``.
-
-    `texts` has a text for each parameter, by name; by default that name.
-    """
+    """Write the sum of the terms on a channel in a notation, ``sympy`` or ``latex``."""
+    # `texts` has a text for each parameter, by name; by default that name.
     texts = texts or {name: name for name in _parameter_names(equation)}
     times_sign = {"sympy": "*", "latex": r"\,"}[notation]
     products = []
@@ -114,10 +108,8 @@ def _parameter_latex(name: str) -> str:
 
 
 def sentence(equation: Equation, numbers: Mapping[str, float]) -> str:
-    """Write an `equation` with units, such as ``torque.pitch = 0.05*elevation N m``.
-
-    `numbers` has the values of its parameters by name.
-    """
+    """Write an `equation` with units, such as ``torque.pitch = 0.05*elevation N m``."""
+    # `numbers` has the values of its parameters by name.
     return " and ".join(
         f"{channel} = {expression(equation, channel, numbers)} {CHANNELS[channel][0]}"
         for channel in equation.channels
@@ -189,10 +181,8 @@ def _sentence_template(equation: Equation) -> str:
 def _parameter_code(
     name: str, value: float, std: float, unit: str, prior: Prior | None, *, is_coefficient: bool
 ) -> str:
-    """Return the Python code that declares a parameter of the effect with its estimate and prior.
-
-    A coefficient is a size of the effect: its prior has the mean 0 and no bounds.
-    """
+    """Return the Python code that declares a parameter of the effect with its estimate and prior."""
+    # A coefficient is a size of the effect: its prior has the mean 0 and no bounds.
     estimate_text = f"{value:.4g} ± {std:.2g} {unit}" if std else "set"
     prior_code = ""
     if prior is not None:
@@ -210,10 +200,7 @@ def _parameter_code(
 
 
 def _methods_code(equation: Equation) -> Iterator[str]:
-    """Yield the Python code of the methods of the effect, by the kinds of its channels.
-
-    A channel is a kind and an axis or a rotor, such as ``torque.pitch``; each kind is a method of `Effect`.
-    """
+    """Yield the Python code of the methods of the effect, by the kinds of its channels."""
     kinds = {channel.partition(".")[0] for channel in equation.channels}
 
     def by_axis(kind: str) -> str:
@@ -281,10 +268,7 @@ def _term_code(equation: Equation, i: int, term: EquationTerm) -> str:
 
 
 def _lag_state_code(i: int, j: int, factor: Factor) -> str:
-    """Return the Python code of the lag state of factor `j` of term `i`.
-
-    The code has two states, one per rotor, if the quantity has two values.
-    """
+    """Return the Python code of the lag state of factor `j` of term `i`."""
     name = lag_state_name(i, j)
     if not factor.per_rotor:
         return f'self.value(at, "{name}")'
@@ -344,11 +328,9 @@ class ProposedTerm:
 
     @property
     def confidence(self) -> float:
-        """Probability, 0 to 1, that the form of the equation is right.
-
-        It grows with the lead over the closest rival, which may be the model without an equation, and with
-        the log-likelihood ratio on the held-out flights.
-        """
+        """Probability, 0 to 1, that the form of the equation is right."""
+        # It grows with the lead over the closest rival, which may be the model without an equation, and with
+        # the log-likelihood ratio on the held-out flights.
         discovery = self.discovery
         rivals = [rival.log_likelihood_ratio for rival in discovery.rivals]
         margin = max(0.0, min([discovery.train - discovery.penalty, *rivals]))
@@ -374,11 +356,10 @@ def proposed_term(discovery: Discovery) -> ProposedTerm:
 
 
 def term_trace(discovery: Discovery) -> TermTrace:
-    """Compare, along a flight, the torque of the equation of a `discovery` with the missing torque.
-
-    The missing torque is the one that the model without the equation lacks. Both are about the axis on which
-    the equation acts most. The flight is the first held-out flight, or the first fitted flight without one.
-    """
+    """Compare, along a flight, the torque of the equation of a `discovery` with the missing torque."""
+    # The missing torque is the one that the model without the equation lacks. Both are about the axis on
+    # which the equation acts most. The flight is the first held-out flight, or the first fitted flight
+    # without one.
     without_equation, with_equation = discovery.elsewhere or (
         discovery.base.estimate,
         discovery.hypothesis.estimate,
@@ -436,10 +417,8 @@ def _rotor_mean(values: Floats) -> Floats:
 
 
 def _channel_sum_along(discovery: Discovery, signals: TermSignals, index: int, channel: str) -> Floats:
-    """Return the sum of the terms on a channel along a flight, less its mean.
-
-    The shape is (n, 1), or (n, 2) if each rotor has its own values.
-    """
+    """Return the sum of the terms on a channel along a flight, less its mean."""
+    # The shape is (n, 1), or (n, 2) if each rotor has its own values.
     total: Floats = np.zeros((1, 1))
     values = discovery.values
     for i, term in enumerate(discovery.equation.terms):

@@ -180,11 +180,9 @@ class EquationRefits:
     """Number of groups of terms of each size or smaller, for the penalty of multiple testing."""
 
     def penalty(self, group: TermGroup, equation: Equation, held: frozenset[str]) -> float:
-        """Return the complexity penalty, in nats, of the terms of a `group` in an `equation`.
-
-        It is the sum of three penalties: BIC for the parameters that are not `held`, the logarithm of the
-        number of groups tried (multiple testing), and `NEAR_REST_NATS` for each sign of an axis' own rate.
-        """
+        """Return the complexity penalty, in nats, of the terms of a `group` in an `equation`."""
+        # It is the sum of three penalties: BIC for the parameters that are not `held`, the logarithm of the
+        # number of groups tried (multiple testing), and `NEAR_REST_NATS` for each sign of an axis' own rate.
         inner_count = sum(
             inner.name not in held and not inner.is_sign_width and equation.terms[inner.term] in group.terms
             for inner in equation.inner_parameters()
@@ -239,10 +237,7 @@ class EquationRefits:
         return RefittedEquation(equation, hypothesis, penalty, scored.group, held)
 
     def prior_std(self, equation: Equation, signals: TermSignals) -> dict[str, float]:
-        """Return the prior standard deviations of an equation's coefficients, by name without prefix.
-
-        They follow from the root mean square of its terms in `signals`.
-        """
+        """Return the prior standard deviations of an equation's coefficients, by name without prefix."""
         prior_std = {}
         for name, term in zip(equation.coefficient_names, equation.terms, strict=True):
             values = np.concatenate([signals.values(i, term) for i in range(len(signals.linearised_flights))])
@@ -250,12 +245,10 @@ class EquationRefits:
         return prior_std
 
     def simplified(self, best: RefittedEquation, signals: TermSignals) -> RefittedEquation:
-        """Simplify the equation `best` as far as the likelihood allows.
-
-        Periods per turn become whole numbers. Then the term with the least significant coefficient is
-        removed, until all coefficients are significant or the margin would fall. `signals` has the terms of
-        the equation along the flights.
-        """
+        """Simplify the equation `best` as far as the likelihood allows."""
+        # Periods per turn become whole numbers. Then the term with the least significant coefficient is
+        # removed, until all coefficients are significant or the margin would fall. `signals` has the terms of
+        # the equation along the flights.
         best = self.with_whole_periods(best, signals)
         while len(best.equation.terms) > 1:
             coefficients = [best.estimates[name] for name in best.equation.coefficient_names]
@@ -285,11 +278,9 @@ class EquationRefits:
         return RefittedEquation(shorter.equation, hypothesis, penalty, group, shorter.held)
 
     def with_whole_periods(self, refitted: RefittedEquation, signals: TermSignals) -> RefittedEquation:
-        """Hold periods per turn at whole numbers, if the equation is then about as likely as before.
-
-        Effects that repeat with each turn, such as the error of an encoder, have a whole number of periods
-        per turn.
-        """
+        """Hold periods per turn at whole numbers, if the equation is then about as likely as before."""
+        # Effects that repeat with each turn, such as the error of an encoder, have a whole number of periods
+        # per turn.
         whole_periods = self._nearly_whole_periods(refitted)
         if not whole_periods:
             return refitted
@@ -302,10 +293,7 @@ class EquationRefits:
 
     @staticmethod
     def _nearly_whole_periods(refitted: RefittedEquation) -> dict[str, float]:
-        """Return whole numbers of periods per turn, by name, where the estimates allow them.
-
-        A number is allowed if it is within the standard errors of the estimated number of periods.
-        """
+        """Return whole numbers of periods per turn, by name, where the estimates allow them."""
         estimates = refitted.estimates
         # A sine and a cosine of the same channel and quantity are one wave, and share the number of periods.
         waves: dict[tuple[str, str, float], list[str]] = {}
@@ -335,10 +323,8 @@ class _EquationStart(NamedTuple):
 
 
 def _equation_without_term(refitted: RefittedEquation, number: int) -> _EquationStart:
-    """Remove term `number`, from 0, of an equation, and keep the estimates of all other terms.
-
-    The names of parameters contain the number of their term, so those of later terms change.
-    """
+    """Remove term `number`, from 0, of an equation, and keep the estimates of all other terms."""
+    # The names of parameters contain the number of their term, so those of later terms change.
     longer, old_values = refitted.equation, refitted.values
     equation = Equation(tuple(term for i, term in enumerate(longer.terms) if i != number))
     start, held = dict[str, float](), set[str]()
@@ -378,13 +364,10 @@ class ListedEffects:
     say: Callable[[str], None]  # Called with the present step in words
 
     def equivalent_effect(self, equation: Equation, warm_start: Hypothesis, penalty: float) -> str | None:
-        """Find an effect of the catalogue that explains all flights as well as an equation does.
-
-        The search may have missed this effect, because disturbances explained its torque. An effect does not
-        count if the equation encompasses it, see `encompasses`.
-
-        Effects are refitted in the order of their scores, until no further effect can be good enough.
-        """
+        """Find an effect of the catalogue that explains all flights as well as an equation does."""
+        # The search may have missed this effect, because disturbances explained its torque. An effect does
+        # not count if the equation encompasses it, see `encompasses`.
+        # Effects are refitted in the order of their scores, until no further effect can be good enough.
         # Like a spline, an equation must exceed an effect by a share of its own margin over the base.
         equation_margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
         lead = SPLINE_MARGIN * (equation_margin - self.base.log_likelihood)
@@ -411,10 +394,9 @@ class ListedEffects:
         return None
 
     def _possible_effects(self, equation: Equation, warm_start: Hypothesis) -> Iterator[_PossibleEffect]:
-        """Yield effects that may be equivalent, the best first.
-
-        Friction that holds an axis has no derivative, and thus no score. It comes first, at its typical size.
-        """
+        """Yield effects that may be equivalent, the best first."""
+        # Friction that holds an axis has no derivative, and thus no score. It comes first, at its typical
+        # size.
         screening = Screening(replace(self.base.estimate, disturbances=warm_start.estimate.disturbances))
         dry_friction = {f"coulomb_friction.{axis}" for axis in _axes_of_equation(equation)}
         for kind in self.eligible_effects:
@@ -434,19 +416,14 @@ class ListedEffects:
         ]
 
     def refit(self, effect: Candidate, start: Mapping[str, float], warm_start: Hypothesis) -> Hypothesis:
-        """Estimate the base with one more `effect`.
-
-        The estimation starts from the values `start` and from the disturbances of `warm_start`.
-        """
+        """Estimate the base with one more `effect`."""
         self.say(f"trying {effect.id} in its place")
         return self.comparison.refit([*self.base.candidates, effect], start, warm_start)
 
     def margin(self, model: Hypothesis, effect: Candidate) -> float:
-        """Return the log-likelihood, in nats, of a `model` with an `effect`, less the effect's penalty.
-
-        The priors of the effect's parameters do not count, because an equation's coefficients may have any
-        size, too.
-        """
+        """Return the log-likelihood, in nats, of a `model` with an `effect`, less the effect's penalty."""
+        # The priors of the effect's parameters do not count, because an equation's coefficients may have any
+        # size, too.
         parameters = [
             (model.params[name], prior)
             for name, prior in effect.effect.priors.items()
@@ -456,10 +433,7 @@ class ListedEffects:
         return model.log_likelihood + prior_nats - self.complexity_penalty(effect)
 
     def held_out(self, model: Hypothesis) -> float:
-        """Return the log-likelihood ratio of a `model` over the base on the held-out flights, nats.
-
-        It is 0 if no flight is held out.
-        """
+        """Return the log-likelihood ratio of a `model` over the base on the held-out flights, nats."""
         if not self.comparison.held_out:
             return 0.0
         return self.comparison.held_out_estimate(model).log_likelihood - self._held_out_nats_of_base
@@ -472,11 +446,9 @@ class ListedEffects:
     def encompasses(
         self, warm_start: Hypothesis, rival: Hypothesis, effect: Candidate, penalty: float
     ) -> bool:
-        """Whether an equation encompasses an effect that fits equally well in its place.
-
-        It does if, in a model with both, the equation exceeds its penalty and the effect adds less. This is
-        the J test (Davidson and MacKinnon, Econometrica 49 (1981) 781) by likelihoods.
-        """
+        """Whether an equation encompasses an effect that fits equally well in its place."""
+        # It does if, in a model with both, the equation exceeds its penalty and the effect adds less. This is
+        # the J test (Davidson and MacKinnon, Econometrica 49 (1981) 781) by likelihoods.
         equation = warm_start.candidates[-1]
         start = {name: rival.params[name] for name in effect.effect.priors if name in rival.params}
         with_both_terms = self.comparison.refit([*self.base.candidates, effect, equation], start, warm_start)
@@ -490,10 +462,7 @@ class ListedEffects:
         return equation_gain - penalty > max(MIN_MARGIN, effect_gain - self.complexity_penalty(effect))
 
     def complexity_penalty(self, effect: Candidate) -> float:
-        """Return the complexity penalty of an `effect`, nats.
-
-        It is BIC for its parameters, plus the logarithm of the number of candidates (multiple testing).
-        """
+        """Return the complexity penalty of an `effect`, nats."""
         return 0.5 * len(effect.effect.priors) * math.log(self.comparison.rows) + math.log(CANDIDATES_TRIED)
 
     def without_superfluous(self, with_equation: Hypothesis) -> tuple[Hypothesis, tuple[str, ...]]:
@@ -555,11 +524,9 @@ class EquationSearch:
         warm_start: Hypothesis,
         signals: TermSignals,
     ) -> RefittedEquation | None:
-        """Refit the current equation with each finalist; return the refit of the largest margin.
-
-        The result is None if its margin does not exceed that of the current equation by `MIN_MARGIN`. The
-        lead over each other finalist is stored in `rivals`.
-        """
+        """Refit the current equation with each finalist; return the refit of the largest margin."""
+        # The result is None if its margin does not exceed that of the current equation by `MIN_MARGIN`. The
+        # lead over each other finalist is stored in `rivals`.
         best: RefittedEquation | None = None
         margin_by_group = dict[str, float]()
         confirmed_scores = 0
@@ -591,11 +558,9 @@ class EquationSearch:
         signals: TermSignals,
         all_groups: Sequence[TermGroup],
     ) -> list[ScoredTermGroup]:
-        """Score terms without slow disturbances, and choose the best.
-
-        A slow disturbance of its size explains a term of slow quantities such as travel, so that the term has
-        hardly any score.
-        """
+        """Score terms without slow disturbances, and choose the best."""
+        # A slow disturbance of its size explains a term of slow quantities such as travel, so that the term
+        # has hardly any score.
         is_slow = disturbances.slow_std > disturbances.fast_std
         if not is_slow.any():
             return []
@@ -613,11 +578,9 @@ class EquationSearch:
         return self.finalists(scores)[:ALTERNATIVES]
 
     def finalists(self, scored: Sequence[ScoredTermGroup]) -> list[ScoredTermGroup]:
-        """Choose the groups of terms with the largest score less penalty, which are refitted.
-
-        The number is twice `EQUATION_FINALISTS`, because not every score is confirmed. At most `ALTERNATIVES`
-        groups have the same channel and quantities.
-        """
+        """Choose the groups of terms with the largest score less penalty, which are refitted."""
+        # The number is twice `EQUATION_FINALISTS`, because not every score is confirmed. At most
+        # `ALTERNATIVES` groups have the same channel and quantities.
 
         def penalty(scored_group: ScoredTermGroup) -> float:
             """Return the penalty of a group as an equation of its own, nats."""
@@ -654,11 +617,10 @@ def free_name(used: Collection[str]) -> str:
 
 
 class _ConfirmedEquation(NamedTuple):
-    """An equation whose last term the held-out flights confirmed.
+    """An equation whose last term the held-out flights confirmed."""
 
-    `held_out` is its log-likelihood ratio there, nats, None without such flights. `rivals` are the leads over
-    other terms, nats, by key.
-    """
+    # `held_out` is its log-likelihood ratio there, nats, None without such flights. `rivals` are the leads
+    # over other terms, nats, by key.
 
     refitted: RefittedEquation
     held_out: float | None
@@ -740,10 +702,8 @@ def discover(
 
 
 def _channel_and_quantities(group: TermGroup) -> tuple[str, frozenset[str]]:
-    """Return channel and quantities of a group; groups of one family compete with each other.
-
-    All encoders count as one, because a scale error of one of them shifts the filtered states of all.
-    """
+    """Return channel and quantities of a group; groups of one family compete with each other."""
+    # All encoders count as one, because a scale error of one of them shifts the filtered states of all.
     channel = group.terms[0].channel
     if channel.startswith("measurement"):
         return "measurement", frozenset()

@@ -232,11 +232,10 @@ class _SubsetEvaluation(NamedTuple):
 
 
 class _CauseSubsets:
-    """Models with subsets of the named causes, compared in both directions; each is computed once.
+    """Models with subsets of the named causes, compared in both directions; each is computed once."""
 
-    The forward direction estimates on the fitted flights and evaluates on the held-out flights. The reverse
-    direction exchanges them. Without held-out flights, the directions use two folds.
-    """
+    # The forward direction estimates on the fitted flights and evaluates on the held-out flights. The reverse
+    # direction exchanges them. Without held-out flights, the directions use two folds.
 
     def __init__(
         self,
@@ -258,12 +257,10 @@ class _CauseSubsets:
 
     @cached_property
     def directions(self) -> tuple[Direction | None, Direction] | None:
-        """Fits of the forward and the reverse direction.
-
-        With held-out flights, the forward direction is None: the search has estimated and evaluated it.
-        Without any, both directions use two folds, halves of the fitted flights; the result is None if a fold
-        is too short.
-        """
+        """Fits of the forward and the reverse direction."""
+        # With held-out flights, the forward direction is None: the search has estimated and evaluated it.
+        # Without any, both directions use two folds, halves of the fitted flights; the result is None if a
+        # fold is too short.
         comparison, final = self.comparison, self.search.final
         if comparison.held_out:
             held_out = comparison.held_out_estimate(final)
@@ -297,10 +294,8 @@ class _CauseSubsets:
         return ""
 
     def _with_events(self, ids: Sequence[str]) -> frozenset[str]:
-        """Return the ids of causes, and in addition those of events that happened in one flight only.
-
-        Such an event stays in every model: it affects the fit of its flight, and no prediction of others.
-        """
+        """Return the ids of causes, and in addition those of events that happened in one flight only."""
+        # Such an event stays in every model: it affects the fit of its flight, and no prediction of others.
         return frozenset(ids) | {id_ for id_ in self.ids if self._is_of_one_flight(id_)}
 
     def _is_of_one_flight(self, id_: str) -> bool:
@@ -310,10 +305,7 @@ class _CauseSubsets:
         return bool(effect.flight) and not labels & effect.other_moments_s.keys()
 
     def worse_axes(self, ids: Sequence[str]) -> tuple[WorseAxis, ...]:
-        """Return the axes that the model with some causes predicts worse than the baseline.
-
-        Both directions are tested.
-        """
+        """Return the axes that the model with some causes predicts worse than the baseline."""
         if not ids:
             return ()
         return tuple(
@@ -341,10 +333,7 @@ class _CauseSubsets:
         return min(ids, key=log_error_without)
 
     def reductions(self, ids: Sequence[str], reverse: bool) -> Mapping[str, ErrorReduction]:
-        """Compare the open-loop errors of the model with some causes and of the baseline, by axis.
-
-        The errors are those at `WORSE_HORIZON`, in the forward or in the reverse direction.
-        """
+        """Compare the open-loop errors of the model with some causes and of the baseline, by axis."""
         assert self.directions is not None
         side = self.directions[int(reverse)]
         if side is None:

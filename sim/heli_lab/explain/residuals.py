@@ -61,10 +61,7 @@ _REST_WIDTHS: Final = (0.05, 0.2)
 
 
 def dependence_functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list[Floats]]:
-    """Return test functions along each flight, shape (n, s), by name.
-
-    They are standardised quantities, products of two of them, past thrusts, and rates near rest.
-    """
+    """Return test functions along each flight, shape (n, s), by name."""
     # Each list has one entry per flight.
     quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
     scales = {name: _scale([values[name] for values in quantities]) for name in _PRODUCTS}
@@ -100,20 +97,14 @@ def _scale(values_by_flight: Sequence[Floats]) -> _Scale:
 
 
 def _near_rest_curves(rate: Floats) -> Floats:
-    """Return curves of a scaled rate (n,) that look like dry friction near rest, shape (n, widths).
-
-    Each curve has the sign of the rate, and vanishes far from rest.
-    """
+    """Return curves of a scaled rate (n,) that look like dry friction near rest, shape (n, widths)."""
     return np.column_stack(
         [np.tanh(rate / 0.1 / width) * np.exp(-((rate / width) ** 2)) for width in _REST_WIDTHS]
     )
 
 
 def _memory_curves(signal: Floats, step_s: float) -> Floats:
-    """Return how first-order lags and plays would change a signal (n,), shape (n, s).
-
-    A column is the signal behind a lag or play, less the signal.
-    """
+    """Return how first-order lags and plays would change a signal (n,), shape (n, s)."""
     values = signal.tolist()
     outputs = [_low_pass(values, math.exp(-step_s / time_s)) for time_s in _LOWPASS_s]
     outputs += [_play(values, width) for width in _PLAY_WIDTHS]
@@ -131,10 +122,7 @@ def _low_pass(values: Sequence[float], pole: float) -> list[float]:
 
 
 def _play(values: Sequence[float], width: float) -> list[float]:
-    """Return values behind a play (backlash) of a given `width`.
-
-    The output moves only when the value reaches an edge of the gap.
-    """
+    """Return values behind a play (backlash) of a given `width`."""
 
     def next_output(output: float, value: float) -> float:
         return min(max(output, value - width / 2.0), value + width / 2.0)
@@ -159,11 +147,9 @@ class Kicks:
 def kicks(
     filtered: InnovationsModel, disturbances: DisturbanceModel, error: FlightErrors | None = None
 ) -> dict[str, Kicks]:
-    """Count the kicks about each axis; axes without kicks are left out.
-
-    The most significant impulse is subtracted before the next one is sought, because it also raises the
-    statistics of instants close to it.
-    """
+    """Count the kicks about each axis; axes without kicks are left out."""
+    # The most significant impulse is subtracted before the next one is sought, because it also raises the
+    # statistics of instants close to it.
     error = filtered.perturbed_residual() if error is None else error
     impulses_Nms: dict[str, list[float]] = {}
     for _ in range(_MAX_KICKS):
@@ -183,10 +169,7 @@ def kicks(
 def with_impulse(
     filtered: InnovationsModel, error: FlightErrors, flight: int, interval: int, axis: int, torque_Nm: float
 ) -> FlightErrors:
-    """Return the `error` of a model with one more impulse, so that the next one can be sought.
-
-    The torque acts in the first step of a measurement interval.
-    """
+    """Return the `error` of a model with one more impulse, so that the next one can be sought."""
     changed = [list(windows) for windows in error]
     for number, blocks in enumerate(filtered.linearised_flights[flight].blocks):
         if interval < len(blocks.rows):
@@ -200,10 +183,8 @@ def with_impulse(
 
 
 def _robust_statistics(residual: AuxiliaryResiduals) -> Floats:
-    """Return absolute t statistics of impulses, (k, 3), over their robust standard deviation.
-
-    Kicks inflate the estimated disturbances, so that the statistics themselves are too small.
-    """
+    """Return absolute t statistics of impulses, (k, 3), over their robust standard deviation."""
+    # Kicks inflate the estimated disturbances, so that the statistics themselves are too small.
     statistic = residual.impulse.t_statistic
     scale = _STD_PER_MAD * np.median(np.abs(statistic - np.median(statistic, axis=0)), axis=0)
     result: Floats = np.abs(statistic) / np.clip(scale, 1e-6, 1.0)
@@ -243,10 +224,7 @@ def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> tuple[Floats, 
 
 
 def _responses(linear: LinearisedFlight, rows: Integers, rates: Floats) -> Floats:
-    """Simulate the deviation of each window from 0, shape (windows, length, m, states + m + 1).
-
-    The signals are: unit initial states, unit constant torques, and the additional rates.
-    """
+    """Simulate the deviation of each window from 0, shape (windows, length, m, states + m + 1)."""
     steps, (windows, length), states = linear.steps, rows.shape, linear.states
     outputs = len(linear.model.outputs)
     deviation = np.zeros((windows, states, states + outputs + 1))
@@ -367,18 +345,13 @@ def residual_analysis(screenings: Sequence[Screening]) -> ResidualAnalysis:
 
 
 def penalty(coefficients: int) -> float:
-    """Return the gain that the best regressor rarely reaches if the innovations are white, nats.
-
-    `coefficients` is the number of coefficients of a regressor.
-    """
+    """Return the gain that the best regressor rarely reaches if the innovations are white, nats."""
     return thresholds.DEPENDENCE_NATS + thresholds.DEPENDENCE_NATS_PER_COEFFICIENT * coefficients
 
 
 def disturbance_gains(screening: Screening) -> Floats:
-    """Return how much more likely the flights are with disturbances about an axis than without, in nats.
-
-    The shape is (3,): a log-likelihood ratio for each axis.
-    """
+    """Return how much more likely the flights are with disturbances about an axis than without, in nats."""
+    # The shape is (3,): a log-likelihood ratio for each axis.
     disturbances = screening.estimate.disturbances
     calm_axes = [
         replace(
@@ -392,10 +365,8 @@ def disturbance_gains(screening: Screening) -> Floats:
 
 
 def gain_ratios(screening: Screening) -> Floats:
-    """Return how much more likely the flights are if a gain varies at random than if it does not, in nats.
-
-    The shape is (g,): a log-likelihood ratio for each random variation of the thrust.
-    """
+    """Return how much more likely the flights are if a gain varies at random than if it does not, in nats."""
+    # The shape is (g,): a log-likelihood ratio for each random variation of the thrust.
     disturbances = screening.estimate.disturbances
     gains = disturbances.gains
     without_one_gain = [
@@ -431,10 +402,8 @@ def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
 
 
 def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
-    """Test functions of states and inputs as regressors of the innovations of all flights.
-
-    The coefficients of a function are the same in all flights; free parameters are projected out of each.
-    """
+    """Test functions of states and inputs as regressors of the innovations of all flights."""
+    # The coefficients of a function are the same in all flights; free parameters are projected out of each.
     linearised_flights = [
         linear for screening in screenings for linear in screening.filtered.linearised_flights
     ]
@@ -492,10 +461,8 @@ def _dependence(
 
 
 def _change_counts(test: _Test, coefficients: Floats, screenings: Sequence[Screening]) -> float:
-    """Return the change of the open-loop prediction by a regressor, encoder counts.
-
-    It is the root mean square over the set of flights, and on the axis, where it is largest.
-    """
+    """Return the change of the open-loop prediction by a regressor, encoder counts."""
+    # It is the root mean square over the set of flights, and on the axis, where it is largest.
     changes, flight = [], 0
     for screening in screenings:
         squares, rows = np.zeros(len(AXES)), 0
@@ -516,11 +483,9 @@ def _change_counts(test: _Test, coefficients: Floats, screenings: Sequence[Scree
 def _function_statistics(
     screening: Screening, functions: Mapping[str, list[Floats]]
 ) -> list[ScoreStatistics]:
-    """Return the score statistics of each function as a torque about elevation, pitch and travel.
-
-    `functions` has the curves of each flight, shape (n, s), by name. The order is that of the functions, and
-    of the axes for each function.
-    """
+    """Return the score statistics of each function as a torque about elevation, pitch and travel."""
+    # `functions` has the curves of each flight, shape (n, s), by name. The order is that of the functions,
+    # and of the axes for each function.
     result: list[ScoreStatistics] = []
     for batch in batches(functions.values(), lambda curves: curves[0].shape[1], screening.batch):
         sizes = [curves[0].shape[1] for curves in batch]
@@ -538,10 +503,8 @@ def _function_statistics(
 
 
 def _is_of_own_rate(dependence: str) -> bool:
-    """Whether a dependence is that of a torque about an axis on the rate of the same axis.
-
-    Such a curve may imitate a resting encoder, which repeats its count.
-    """
+    """Whether a dependence is that of a torque about an axis on the rate of the same axis."""
+    # Such a curve may imitate a resting encoder, which repeats its count.
     channel, _, quantity = dependence.partition(" on ")
     return quantity == f"{channel.rpartition('.')[2]}_rate"
 
@@ -658,11 +621,9 @@ def _cells_along(values: Floats) -> Integers:
 
 
 def _evidence(screening: Screening, axis: str, cell: Integers, count: int) -> float:
-    """Return the evidence that a model fails in some of `count` cells; `cell` is that of each step, (n,).
-
-    The sum of z^2 - 1 over all cells has the mean 0 if the model is right. It is divided by the root of the
-    number of visited cells, so that planes with different numbers can be compared.
-    """
+    """Return the evidence that a model fails in some of `count` cells; `cell` is that of each step, (n,)."""
+    # The sum of z^2 - 1 over all cells has the mean 0 if the model is right. It is divided by the root of the
+    # number of visited cells, so that planes with different numbers can be compared.
     score = _cell_scores(screening, axis, cell, count)
     return float(np.nansum(score**2 - 1.0) / np.sqrt(max(1, np.isfinite(score).sum())))
 
@@ -673,10 +634,8 @@ def _cell_number(values: Floats, edges: Floats) -> Integers:
 
 
 def _cell_scores(screening: Screening, axis: str, cell: Integers, count: int) -> Floats:
-    """Return the score of a torque in each of `count` cells in standard deviations, shape (count,).
-
-    `cell` is the cell of each step, (n,). The score is nan if the flights were in the cell too briefly.
-    """
+    """Return the score of a torque in each of `count` cells in standard deviations, shape (count,)."""
+    # `cell` is the cell of each step, (n,). The score is nan if the flights were in the cell too briefly.
     step_s = screening.filtered.linearised_flights[0].trajectory.step_s
     visited = np.nonzero(np.bincount(cell, minlength=count) * step_s >= _VISITED_s)[0]
     z = np.full(count, np.nan)
@@ -695,10 +654,7 @@ def _cell_scores(screening: Screening, axis: str, cell: Integers, count: int) ->
 def _test_cells(
     screening: Screening, estimate: Estimate, axis: str, x: str, y: str, edges: Mapping[str, Floats]
 ) -> RegionTest:
-    """Test all cells of a plane about an estimate, with the false discovery rate controlled.
-
-    `screening` gives the scores; the missing torque is smoothed with the disturbances of `estimate`.
-    """
+    """Test all cells of a plane about an estimate, with the false discovery rate controlled."""
     values = _plane_values(screening)
     cell = _cell_number(values[x], edges[x]) * _CELLS + _cell_number(values[y], edges[y])
     z = _cell_scores(screening, axis, cell, _CELLS**2)
@@ -721,10 +677,9 @@ def _test_cells(
 def adjusted_p_values(p_values: Floats) -> Floats:
     """Adjust p-values so that a limit on them controls the false discovery rate (Benjamini and Hochberg).
     Shapes: `p_values` (k,).
-
-    The result equals that of ``scipy.stats.false_discovery_control``, but to import scipy.stats takes half a
-    second of CPU time.
     """
+    # The result equals that of ``scipy.stats.false_discovery_control``, but to import scipy.stats takes half
+    # a second of CPU time.
     count = len(p_values)
     order = np.argsort(p_values)
     scaled = p_values[order] * (count / np.arange(1, count + 1))

@@ -68,11 +68,10 @@ def extended_rig(
 def _mean_zeros(fit: Fit) -> dict[str, Number]:
     """Return the means of the encoder zeros of several flights, by name; empty for a single flight, whose
     zeros the rig has.
-
-    Zeros and constant torques of a flight compensate each other, so the mean of the torques predicts worse
-    without the mean of the zeros. The tolerance is at least that of the rig file, because encoders are zeroed
-    again before the next flight.
     """
+    # Zeros and constant torques of a flight compensate each other, so the mean of the torques predicts worse
+    # without the mean of the zeros. The tolerance is at least that of the rig file, because encoders are
+    # zeroed again before the next flight.
     problem, zeros = fit.problem, dict[str, list[float]]()
     if len(problem.records) == 1:
         return {}
@@ -202,11 +201,9 @@ class Diagnosis:
 
     @cached_property
     def failing_regions(self) -> FailingRegions:
-        """Regions in which the baseline and the extended model fail.
-
-        If there is a proposed equation, the two models are the extended model without and with it. The axis
-        is that of the missing torque, or otherwise that of the spline term with the highest score.
-        """
+        """Regions in which the baseline and the extended model fail."""
+        # If there is a proposed equation, the two models are the extended model without and with it. The axis
+        # is that of the missing torque, or otherwise that of the spline term with the highest score.
         term = self.proposed_term
         if term is not None:
             return self.failing_regions_about(term.trace.axis, term.trace.on)
@@ -250,18 +247,12 @@ class Diagnosis:
 
     @cached_property
     def prior_conflicts(self) -> tuple[PriorConflict, ...]:
-        """Parameters of the rig whose estimate is far from the rig file's prior.
-
-        Each has also its estimate without that prior.
-        """
+        """Parameters of the rig whose estimate is far from the rig file's prior."""
         return tried_without(prior_conflicts(self.assessment.after.fit), self.assessment.extended.estimate)
 
     @cached_property
     def extrapolations(self) -> tuple[Extrapolation, ...]:
-        """Windows of each held-out flight with voltages that the fitted flights do not contain.
-
-        It is empty if no flight is held out.
-        """
+        """Windows of each held-out flight with voltages that the fitted flights do not contain."""
         if self.assessment.after.held_out_fit is None:
             return ()
         return extrapolations(self.assessment.after.fit.problem.records, self.held_out.extension.after)

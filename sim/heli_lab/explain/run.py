@@ -205,11 +205,10 @@ def _search_and_assess(
     say: Callable[[str, float], None],
     refits: float,
 ) -> tuple[Search, Assessment]:
-    """Search for causes, and assess the result.
-
-    The search tries the effects `tried`, and the removal of terms of the baseline, which are in the catalogue
-    `available`. If it removes a term and something stays unexplained, it is repeated without removals.
-    """
+    """Search for causes, and assess the result."""
+    # The search tries the effects `tried`, and the removal of terms of the baseline, which are in the
+    # catalogue `available`. If it removes a term and something stays unexplained, it is repeated without
+    # removals.
 
     def attempt(removable: Iterable[EffectSpec]) -> tuple[Search, Assessment]:
         """Search once, with these terms of the baseline that may be removed."""
@@ -253,11 +252,9 @@ def _propose_equation(
 
 
 def _is_candidate(kind: EffectSpec, model: Model, known: set[str], every: Mapping[str, EffectSpec]) -> bool:
-    """Whether the search tries to add an effect to a model that has the effects `known`.
-
-    `every` is the catalogue. Most removals of a term are not tried, because the estimate of the term's
-    parameter shows its absence.
-    """
+    """Whether the search tries to add an effect to a model that has the effects `known`."""
+    # `every` is the catalogue. Most removals of a term are not tried, because the estimate of the term's
+    # parameter shows its absence.
     if not kind.suits(model) or kind.noise_inputs or not may_join(kind.id, known, every):
         return False
     return not kind.baseline or (not kind.override and model.name != "multibody")

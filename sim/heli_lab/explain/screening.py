@@ -62,10 +62,7 @@ class Score(NamedTuple):
 
 
 class ScoreStatistics(NamedTuple):
-    """Fisher information and score of a candidate's coefficients, from which a score test follows.
-
-    The free parameters of the model are projected out of both.
-    """
+    """Fisher information and score of a candidate's coefficients, from which a score test follows."""
 
     information: Floats  # (g, g): Fisher information
     score: Floats  # (g,): Derivative of the log-likelihood by the coefficients, where these are 0
@@ -99,11 +96,10 @@ frequencies wide, raises this median itself. More: the slope of the spectrum mak
 def peak_frequencies_Hz(impulse_scores: Sequence[Floats], step_s: float) -> tuple[float, ...]:
     """Return the frequencies at which a periodic torque is most significant, the most significant first.
     Shapes: `impulse_scores` (k,).
-
-    The score of a periodic torque is the Fourier transform of the scores of an impulse at every instant.
-    Disturbances and quantisation alone give this transform a smooth spectrum, which the median of
-    neighbouring frequencies estimates. A peak counts by its ratio to that median.
     """
+    # The score of a periodic torque is the Fourier transform of the scores of an impulse at every instant.
+    # Disturbances and quantisation alone give this transform a smooth spectrum, which the median of
+    # neighbouring frequencies estimates. A peak counts by its ratio to that median.
     point_count = _PADDING * max(map(len, impulse_scores))
     windowed = [(score - score.mean()) * np.hanning(len(score)) for score in impulse_scores]
     # Powers are added, not amplitudes, because the phase may differ from flight to flight.
@@ -190,11 +186,9 @@ class EffectGrids:
 
     @cached_property
     def _event_times(self) -> list[_EventTimes]:
-        """Moments at which an event may have happened, for each flight.
-
-        These are jumps of the smoothed torques, and the instant at which a lasting change of a torque would
-        be most significant, by its auxiliary residual (de Jong and Penzer 1998).
-        """
+        """Moments at which an event may have happened, for each flight."""
+        # These are jumps of the smoothed torques, and the instant at which a lasting change of a torque would
+        # be most significant, by its auxiliary residual (de Jong and Penzer 1998).
         event_times = []
         for flight, (t_s, torque_Nm, _), residual in zip(
             self.filtered.linearised_flights, self._smoothed, self._auxiliary_residuals, strict=True
@@ -220,11 +214,11 @@ class EffectGrids:
 
 
 def _jump_times_s(t_s: Floats, torque_Nm: Floats) -> tuple[float, ...]:
-    """Return the times at which smoothed torques (m, 3) jump most [s]: at most `_MAX_JUMPS`, over all axes.
-
-    A jump is the difference between the mean torques after and before a time. A grid needs these times,
-    because a disturbance with a correlation time of seconds hides a step from a score one second away.
+    """Return the times at which smoothed torques (m, 3) jump most [s]: at most `_MAX_JUMPS`, over all
+    axes.
     """
+    # A jump is the difference between the mean torques after and before a time. A grid needs these times,
+    # because a disturbance with a correlation time of seconds hides a step from a score one second away.
     width = max(1, round(_JUMP_WINDOW_s / float(np.median(np.diff(t_s)))))
     if len(t_s) < 4 * width:
         return ()
@@ -243,11 +237,9 @@ def _jump_times_s(t_s: Floats, torque_Nm: Floats) -> tuple[float, ...]:
 
 
 def _coarsened(kind: EffectSpec, duration_s: float, moments_s: tuple[float, ...]) -> EffectSpec:
-    """Return an effect whose grid has at most about `_MAX_GRID` points per parameter.
-
-    The times `moments_s` are added to the grid of an event's moment. A coarse grid is enough, because values
-    near the best point are tried after the score tests.
-    """
+    """Return an effect whose grid has at most about `_MAX_GRID` points per parameter."""
+    # The times `moments_s` are added to the grid of an event's moment. A coarse grid is enough, because
+    # values near the best point are tried after the score tests.
     grid_values = kind.grid_values(duration_s)
 
     def coarse_grid(parameter: str) -> tuple[float, ...]:
@@ -263,10 +255,7 @@ def _coarsened(kind: EffectSpec, duration_s: float, moments_s: tuple[float, ...]
 
 
 def _at_several_sizes(kind: EffectSpec, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Return each candidate at several shares of the effect's typical size.
-
-    Each then has a single coefficient, which scales the effect of that size.
-    """
+    """Return each candidate at several shares of the effect's typical size."""
     sized = []
     for candidate in candidates:
         for share in _SIZE_SHARES:
@@ -315,11 +304,7 @@ class GridSearch:
     def _refine(
         self, kind: EffectSpec, candidates: Sequence[Candidate], best: ScoredCandidate
     ) -> ScoredCandidate:
-        """Search between the points of a grid for a higher score, one parameter after the other.
-
-        `best` is the best of the grid points `candidates`. Only parameters with a prior and with enough grid
-        values are searched.
-        """
+        """Search between the points of a grid for a higher score, one parameter after the other."""
         for name in best.candidate.grid:
             prior = kind.priors.get(name)
             flight = best.candidate.effect.flight
@@ -335,11 +320,9 @@ class GridSearch:
         return best
 
     def _bisect(self, best: ScoredCandidate, name: str, distance: float, prior: Prior) -> ScoredCandidate:
-        """Search the neighbourhood of `best` along the parameter `name`, and return the best point.
-
-        Both neighbours are scored at half the `distance`, then at a quarter, and so on. The search moves to a
-        neighbour that has a higher score. Values outside of the bounds of the prior are left out.
-        """
+        """Search the neighbourhood of `best` along the parameter `name`, and return the best point."""
+        # Both neighbours are scored at half the `distance`, then at a quarter, and so on. The search moves to
+        # a neighbour that has a higher score. Values outside of the bounds of the prior are left out.
         for _ in range(_BISECTIONS):
             distance *= 0.5
             value = best.candidate.grid[name]
@@ -357,10 +340,8 @@ class GridSearch:
 
 
 def _signs_are_allowed(candidate: Candidate, coefficients: Floats) -> bool:
-    """Whether the priors allow the signs of the coefficients that a score test estimates.
-
-    Without linear parameters, the only coefficient scales an effect of the right sign: it must be positive.
-    """
+    """Whether the priors allow the signs of the coefficients that a score test estimates."""
+    # Without linear parameters, the only coefficient scales an effect of the right sign: it must be positive.
     if not candidate.linear_parameters:
         return float(coefficients[0]) > 0.0
     for name, change in zip(candidate.linear_parameters, coefficients, strict=True):
@@ -371,10 +352,8 @@ def _signs_are_allowed(candidate: Candidate, coefficients: Floats) -> bool:
 
 
 def _grid_distance(sorted_values: Sequence[float], value: float) -> float:
-    """Return the distance from the grid point closest to `value` to the next higher grid point.
-
-    The last point has no higher neighbour: its distance is that to the point before.
-    """
+    """Return the distance from the grid point closest to `value` to the next higher grid point."""
+    # The last point has no higher neighbour: its distance is that to the point before.
     distances = np.diff(sorted_values)
     closest = int(np.argmin(np.abs(np.array(sorted_values) - value)))
     return float(distances[min(closest, len(distances) - 1)])
@@ -402,11 +381,10 @@ class NormalDistribution(NamedTuple):
 
 
 class Screening:
-    """Score tests of candidates about one estimated model.
+    """Score tests of candidates about one estimated model."""
 
-    A score test predicts the gain of the log-likelihood if a candidate were added to the model. The
-    prediction is of first order. All free parameters count as refitted, and the disturbances as unchanged.
-    """
+    # A score test predicts the gain of the log-likelihood if a candidate were added to the model. The
+    # prediction is of first order. All free parameters count as refitted, and the disturbances as unchanged.
 
     def __init__(self, estimate: Estimate, prior: NormalDistribution | None = None) -> None:
         self.estimate = estimate
@@ -435,10 +413,7 @@ class Screening:
         self._held_back = np.zeros_like(step) if prior is None else precision @ (estimate.theta + step - mean)
 
     def release(self) -> None:
-        """Free the memory of cached signals, 0.2 GB for ten minutes of flight.
-
-        They are computed again when they are needed.
-        """
+        """Free the memory of cached signals, 0.2 GB for ten minutes of flight."""
         for linear, regressors in zip(self.filtered.linearised_flights, self.regressors, strict=True):
             linear.release()
             regressors.release()
@@ -457,10 +432,7 @@ class Screening:
         return _by_gain(scored for scored in best_points if scored is not None)
 
     def splines(self, number: int = 0) -> list[ScoredCandidate]:
-        """Score all spline terms, the highest score first.
-
-        `number` distinguishes spline terms of one model.
-        """
+        """Score all spline terms, the highest score first."""
         candidates = spline_candidates(self.filtered.linearised_flights, number)
         self._precompute_influences(candidates)
         scores = self.score(candidates)
@@ -492,14 +464,13 @@ class Screening:
     def projected(self, regressors: Iterable[Floats], sizes: Sequence[int]) -> list[ScoreStatistics]:
         """Compute Fisher information and score from derivatives of the innovations. Shapes: `regressors` (m,
         s).
-
-        The free parameters are projected out (partitioned regression, Frisch-Waugh): with X the regressors
-        of a candidate and Z those of the free parameters, the information is X'X - X'Z (Z'Z)^-1 Z'X.
-        The priors of the rig are evidence: what they hold back counts for a candidate. Without it, a spring
-        of elevation that raises L_theta by 10 standard deviations of its prior was not worth a refit
-        (2026-11). The estimate of other flights is no such evidence, because its covariance is of first
-        order: on a flight after a hover, a right model then had a missing effect of 15 nats (2026-11).
         """
+        # The free parameters are projected out (partitioned regression, Frisch-Waugh): with X the regressors
+        # of a candidate and Z those of the free parameters, the information is X'X - X'Z (Z'Z)^-1 Z'X. The
+        # priors of the rig are evidence: what they hold back counts for a candidate. Without it, a spring of
+        # elevation that raises L_theta by 10 standard deviations of its prior was not worth a refit
+        # (2026-11). The estimate of other flights is no such evidence, because its covariance is of first
+        # order: on a flight after a hover, a right model then had a missing effect of 15 nats (2026-11).
         candidate_columns = [
             slice(stop - size, stop) for size, stop in zip(sizes, np.cumsum(sizes), strict=True)
         ]
@@ -647,10 +618,8 @@ def _concentrated_score(
     disturbances: DisturbanceModel,
     log_likelihood: float,
 ) -> ScoredCandidate:
-    """Maximise the likelihood of a candidate's coefficients and of the disturbances in turn.
-
-    `residuals`, `disturbances` and `log_likelihood` are those of the model without the candidate.
-    """
+    """Maximise the likelihood of a candidate's coefficients and of the disturbances in turn."""
+    # `residuals`, `disturbances` and `log_likelihood` are those of the model without the candidate.
     filtered = screening.filtered
     signals = [signals_of(flight, [scored.candidate]) for flight in screening.regressors]
     prior_std = coefficient_std(scored.candidate)
@@ -681,12 +650,10 @@ def _residuals_after(
     signals: Sequence[tuple[Floats, Floats | None]],
     coefficients: Floats,
 ) -> FlightErrors:
-    """Return the residuals that remain if a candidate with these coefficients, (g,), is in the model.
-
-    `residuals` are those without it. `signals` are its changes of the rates, (n, states, g), and of the
-    measured angles, (n, 3, g). Signs are those of `InnovationsModel.regressors`: the candidate adds to the
-    drive, and is subtracted from the measured angles.
-    """
+    """Return the residuals that remain if a candidate with these coefficients, (g,), is in the model."""
+    # `residuals` are those without it. `signals` are its changes of the rates, (n, states, g), and of the
+    # measured angles, (n, 3, g). Signs are those of `InnovationsModel.regressors`: the candidate adds to the
+    # drive, and is subtracted from the measured angles.
     result: list[list[ModelErrors]] = []
     flights = screening.filtered.linearised_flights
     for flight, flight_residuals, (rates, angles) in zip(flights, residuals, signals, strict=True):

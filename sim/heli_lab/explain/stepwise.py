@@ -81,20 +81,14 @@ class _HeldOutMoment:
         return self._with_moment(hypothesis, self._refined_s(hypothesis, max_log_likelihood, best_s))
 
     def _suggested_s(self, without_event: Estimate) -> list[float]:
-        """Return the instant at which a torque most significantly changes for good [s]; empty without one.
-
-        The significance is the auxiliary residual of a level.
-        """
+        """Return the instant at which a torque most significantly changes for good [s]; empty without one."""
         flight = self.comparison.held_out.index(self.record)
         residuals = auxiliary_residuals(without_event.filtered(), without_event.disturbances)[flight]
         level_s, statistic = residuals.largest_level()
         return [level_s] if statistic > EVENT_STD_ERRORS else []
 
     def _refined_s(self, hypothesis: Hypothesis, log_likelihood: float, moment_s: float) -> float:
-        """Return a more likely moment close to `moment_s`, which has the given `log_likelihood` [s].
-
-        This is the vertex of a parabola through the log-likelihoods at three moments, at most `_STEP_s` away.
-        """
+        """Return a more likely moment close to `moment_s`, which has the given `log_likelihood` [s]."""
         before = self._log_likelihood(hypothesis, moment_s - _STEP_s)
         after = self._log_likelihood(hypothesis, moment_s + _STEP_s)
         curvature = before - 2.0 * log_likelihood + after
@@ -136,11 +130,7 @@ class Direction:
 def direction(
     comparison: ModelComparison, final: Hypothesis, fitted_start: Estimate, held_out_start: Estimate
 ) -> Direction:
-    """Compare a model with the models that lack one of its causes each.
-
-    All of them are fitted on the fitted flights of a comparison, and compared on its held-out flights. No
-    cause is searched for, and the fits start from existing estimates.
-    """
+    """Compare a model with the models that lack one of its causes each."""
     candidates = with_fixed_moments(final)
     baseline = comparison.filtering_baseline
     whole = _refit(comparison, candidates, final.estimate, fitted_start)
@@ -160,11 +150,9 @@ def direction(
 
 
 def held_out_screening(comparison: ModelComparison, hypothesis: Hypothesis) -> Screening:
-    """Score candidates about a `hypothesis` on the held-out flights of a comparison.
-
-    All parameters are free. The prior of those that all flights share is their estimate on the fitted flights
-    with its covariance, so that an error which their uncertainty explains is no missing effect.
-    """
+    """Score candidates about a `hypothesis` on the held-out flights of a comparison."""
+    # All parameters are free. The prior of those that all flights share is their estimate on the fitted
+    # flights with its covariance, so that an error which their uncertainty explains is no missing effect.
     fitted, held_out = hypothesis.estimate, comparison.held_out_estimate(hypothesis)
     vector = RigParameters(fitted.parameter_vector.model, comparison.rig, comparison.held_out)
     constants = held_out.parameter_vector.by_name(held_out.theta)
@@ -182,20 +170,15 @@ def held_out_screening(comparison: ModelComparison, hypothesis: Hypothesis) -> S
 def _refit(
     comparison: ModelComparison, candidates: tuple[Candidate, ...], shared: Estimate, fitted_start: Estimate
 ) -> Hypothesis:
-    """Refit a model with some candidates on the fitted flights.
-
-    Parameters that all flights share start from the estimate `shared`, all others from `fitted_start`.
-    """
+    """Refit a model with some candidates on the fitted flights."""
     start = fitted_start.parameter_vector.by_name(fitted_start.theta)
     start |= shared.parameter_vector.shared_by_name(shared.theta)
     return comparison.refit_from(candidates, start, fitted_start.disturbances)
 
 
 def with_fixed_moments(hypothesis: Hypothesis) -> tuple[Candidate, ...]:
-    """Return the candidates of a model with the moment of each event fixed at its estimate.
-
-    A fit on other flights could not estimate the moment, because these flights do not contain it.
-    """
+    """Return the candidates of a model with the moment of each event fixed at its estimate."""
+    # A fit on other flights could not estimate the moment, because these flights do not contain it.
 
     def with_fixed_moment(candidate: Candidate) -> Candidate:
         """Return an event that happens at known moments only; other candidates are unchanged."""
@@ -237,10 +220,9 @@ def _without_unresolved_sizes(
 ) -> Hypothesis:
     """Replace each effect of which the flights do not resolve all sizes by the likeliest of those that it
     contains.
-
-    A delay of 29 ms without disturbances came out as one of 28 ms with a lag of 0.8 ms, because voltages are
-    held over a step of 1 ms.
     """
+    # A delay of 29 ms without disturbances came out as one of 28 ms with a lag of 0.8 ms, because voltages
+    # are held over a step of 1 ms.
     kinds = acceptance.kinds
     for candidate in final.candidates:
         kind = kinds.get(candidate.id)
@@ -323,10 +305,9 @@ class BackwardElimination:
     ) -> Hypothesis | None:
         """Return the most probable model with another effect in the place of a cause, if it is more probable
         than the model with the cause, would be accepted, and held-out flights do not contradict it.
-
-        The selection adds one cause after the other, so a later cause may change which of two similar effects
-        fits better. An effect that was replaced does not return.
         """
+        # The selection adds one cause after the other, so a later cause may change which of two similar
+        # effects fits better. An effect that was replaced does not return.
         better = sorted(
             (alternative.log_likelihood_ratio, id_, alternative.id, hypothesis)
             for id_, compared in compared_by_id.items()
@@ -351,10 +332,9 @@ class BackwardElimination:
     def restore_displaced(self, final: Hypothesis, cause_id: str, reduced: Hypothesis) -> Hypothesis:
         """Return the model without a cause that held-out flights contradict, and with the causes that it had
         displaced.
-
-        A spline may have followed a peculiarity of one flight. Then the causes before its round are restored,
-        and the best accepted effect of its round.
         """
+        # A spline may have followed a peculiarity of one flight. Then the causes before its round are
+        # restored, and the best accepted effect of its round.
         round_ = self._round_of(cause_id)
         cause = next(candidate for candidate in final.candidates if candidate.id == cause_id)
         if not cause.is_spline or round_ is None:
@@ -419,10 +399,10 @@ class BackwardElimination:
 
     def _compared(self, final: Hypothesis, candidate: Candidate, reduced: Hypothesis) -> list[Compared]:
         """Refit other effects in the place of a cause: those of its round, and those of its family, which a
-        low score or the limit of refits may have kept out. Return them with their models, the closest first.
-
-        `reduced` is the model without the cause.
+        low score or the limit of refits may have kept out.
         """
+        # Return them with their models, the closest first.
+        # `reduced` is the model without the cause.
         if candidate.is_spline:
             return []
         round_ = self._round_of(candidate.id)
@@ -464,10 +444,8 @@ class BackwardElimination:
         return not self.acceptance.resolves(replaced, kind)
 
     def _family(self, candidate: Candidate, other_causes: Sequence[Candidate]) -> list[Candidate]:
-        """Return the other effects of a cause's family that may join the other causes, with typical sizes.
-
-        Effects that contain the cause, or are contained in it, are left out: `exchange` chooses among them.
-        """
+        """Return the other effects of a cause's family that may join the other causes, with typical sizes."""
+        # Effects that contain the cause, or are contained in it, are left out: `exchange` chooses among them.
         kinds, present_ids = self.acceptance.kinds, [other.id for other in other_causes]
         if candidate.id not in kinds or kinds[candidate.id].family is None:
             return []

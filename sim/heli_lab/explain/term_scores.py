@@ -127,10 +127,7 @@ def _gaussian_bumps(quantity: str, spans: Mapping[str, tuple[float, float]]) -> 
 
 
 def _functions_for_pairs(quantity: str) -> list[tuple[Factor, ...]]:
-    """Return the functions of a quantity that products of two consist of, each as the factors of a group.
-
-    Sine and cosine of travel are one group.
-    """
+    """Return the functions of a quantity that products of two consist of, each as the factors of a group."""
     powers: list[tuple[Factor, ...]] = [
         (_make_factor("linear", quantity),),
         (_make_factor("square", quantity),),
@@ -195,13 +192,10 @@ def _rotor_products(channel: str, singles: Sequence[_GroupProducts]) -> Iterator
 
 
 def _encoder_products(axis: str, singles: Sequence[_GroupProducts]) -> Iterator[_GroupProducts]:
-    """Yield those of the products of single factors, `singles`, that may be an encoder's error.
-
-    These are functions of its own angle, and sines and multiples of another angle.
-
-    An error that depends on thrust would be significant in any flight, because the controller feeds the
-    quantisation error back; so would half a sample of the axis' own rate.
-    """
+    """Yield those of the products of single factors, `singles`, that may be an encoder's error."""
+    # These are functions of its own angle, and sines and multiples of another angle.
+    # An error that depends on thrust would be significant in any flight, because the controller feeds the
+    # quantisation error back; so would half a sample of the axis' own rate.
     for products in singles:
         factor = products[0][0]
         is_angle = SYMBOLS[factor.quantity].kind == "angle" and not factor.lag_filter
@@ -243,10 +237,9 @@ class ScoredTermGroup:
 
 
 class TermSignals:
-    """Evaluates terms along the flights of a `screening`, and how they change rates and measured angles.
+    """Evaluates terms along the flights of a `screening`, and how they change rates and measured angles."""
 
-    Factors and influences are computed once. In all shapes, n is the number of steps of the flight.
-    """
+    # Factors and influences are computed once. In all shapes, n is the number of steps of the flight.
 
     def __init__(self, screening: Screening) -> None:
         self.linearised_flights = screening.filtered.linearised_flights
@@ -270,18 +263,15 @@ class TermSignals:
         return {name: (float(values.min()), float(values.max())) for name, values in all_values.items()}
 
     def quantity(self, index: int, name: str) -> Floats:
-        """Return values of the quantity `name` in the middle of each step of the flight `index`.
-
-        The shape is (n,), or (n, 2) if each rotor has its own.
-        """
+        """Return values of the quantity `name` in the middle of each step of the flight `index`."""
+        # The shape is (n,), or (n, 2) if each rotor has its own.
         return self._middle[index][name]
 
     def values(self, index: int, term: EquationTerm) -> Floats:
         """Return values of a `term` along the flight `index`, shape (n, 1), or (n, 2) if each rotor has its
         own.
-
-        A term on an encoder is evaluated at the end of each step, any other in the middle.
         """
+        # A term on an encoder is evaluated at the end of each step, any other in the middle.
         at_nodes = term.channel.startswith("measurement")
         product = np.ones((len(self._middle[index]["time"]), 1))
         for factor in term.term.factors:
@@ -298,10 +288,8 @@ class TermSignals:
         return self._factors[key]
 
     def _lagged_values(self, index: int, x: Floats, factor: Factor) -> Floats:
-        """Return the values `x` of a quantity, (n,) or (n, 2), behind the lag of a factor.
-
-        The lag starts at rest in each window.
-        """
+        """Return the values `x` of a quantity, (n,) or (n, 2), behind the lag of a factor."""
+        # The lag starts at rest in each window.
         if not factor.lag_filter:
             return x
         # Takes most of a second to import, and few diagnoses search for an equation.
@@ -333,11 +321,9 @@ class TermSignals:
         return total[:, :, None]
 
     def _influence_of_channel(self, index: int, channel: str) -> Floats:
-        """Return what one unit on a channel changes along a flight.
-
-        This is the change of the rates, shape (n, states, 1), or for an encoder the change of the measured
-        angles, shape (n, 3, 1).
-        """
+        """Return what one unit on a channel changes along a flight."""
+        # This is the change of the rates, shape (n, states, 1), or for an encoder the change of the measured
+        # angles, shape (n, 3, 1).
         if (index, channel) not in self._influences:
             linear = self.linearised_flights[index]
             if channel not in self._extended:
@@ -436,10 +422,8 @@ def _regressors(
 
 
 def _scored(column: _Column, information: Floats, gradient: Floats) -> ScoredTermGroup:
-    """Maximise the quadratic log-likelihood of a score test with a normal prior of the coefficients.
-
-    A single coefficient is solved directly, because most of the thousands of groups have only one.
-    """
+    """Maximise the quadratic log-likelihood of a score test with a normal prior of the coefficients."""
+    # A single coefficient is solved directly, because most of the thousands of groups have only one.
     std = column.prior_std
     if len(std) == 1:
         coefficients = gradient / (information[0, 0] + std[0] ** -2.0)

@@ -253,11 +253,9 @@ class Factor:
         return NONE if name == "k" else SYMBOLS[self.quantity].unit
 
     def formatted(self, notation: str, symbols: Mapping[str, str], x: str | None = None) -> str:
-        """Write the factor in a notation.
-
-        SymPy has functions for a lagged quantity, and LaTeX a subscript. In Python, a lagged quantity is a
-        state of the effect, and `x` is the code that reads it.
-        """
+        """Write the factor in a notation."""
+        # SymPy has functions for a lagged quantity, and LaTeX a subscript. In Python, a lagged quantity is a
+        # state of the effect, and `x` is the code that reads it.
         quantity = SYMBOLS[self.quantity]
         if x is None:
             x = {"sympy": self.quantity, "latex": quantity.latex, "python": quantity.python}[notation]
@@ -318,10 +316,8 @@ _MIN_s, _MAX_s = 0.02, 5.0
 
 
 def rotor_signs(channel: str) -> tuple[int, int]:
-    """Return the signs with which a term of a thrust or voltage `channel` acts on the two rotors.
-
-    They are 1, 0 or -1, for the front and for the back rotor.
-    """
+    """Return the signs with which a term of a thrust or voltage `channel` acts on the two rotors."""
+    # They are 1, 0 or -1, for the front and for the back rotor.
     return _ROTORS[channel.partition(".")[2]]
 
 
@@ -373,10 +369,7 @@ class Equation:
         return "; ".join(term.key for term in self.terms)
 
     def coefficient_name(self, number: int) -> str:
-        """Return the name of the coefficient of term `number`, counted from 0, such as ``c1_Nm_per_rad``.
-
-        A model prefixes it with the name of the effect.
-        """
+        """Return the name of the coefficient of term `number`, counted from 0, such as ``c1_Nm_per_rad``."""
         unit = str(self.terms[number].coefficient_unit)
         unit_suffix = unit.replace(" ", "").replace("/", "_per_").removeprefix("1_")
         return f"c{number + 1}" + ("" if unit == "1" else f"_{unit_suffix}")
@@ -409,10 +402,8 @@ class Equation:
                     yield InnerParameter(i, j, name, full_name, value, unit, is_sign_width)
 
     def inner_names(self, i: int, j: int) -> dict[str, str]:
-        """Return the names of the inner parameters of factor `j` of term `i`.
-
-        The keys are their names in the factor, and the values their names in the equation.
-        """
+        """Return the names of the inner parameters of factor `j` of term `i`."""
+        # The keys are their names in the factor, and the values their names in the equation.
         return {
             parameter.name_in_factor: parameter.name
             for parameter in self.inner_parameters()
@@ -434,10 +425,8 @@ class TermGroup:
 
 
 def _factor_label(i: int, j: int) -> str:
-    """Return the label of factor `j` of term `i` in names of parameters.
-
-    The factors of term 0 are ``1``, ``1b``, ``1c``.
-    """
+    """Return the label of factor `j` of term `i` in names of parameters."""
+    # The factors of term 0 are ``1``, ``1b``, ``1c``.
     return f"{i + 1}{'' if j == 0 else chr(97 + j)}"
 
 
@@ -475,10 +464,8 @@ class EquationEffect(Effect):
         return value
 
     def _lag_state(self, at: Operands, i: int, j: int, factor: Factor) -> ca.SX:
-        """Return the state of the first-order lag of a factor.
-
-        The shape is (1, 1), or (2, 1) if each rotor has its own state.
-        """
+        """Return the state of the first-order lag of a factor."""
+        # The shape is (1, 1), or (2, 1) if each rotor has its own state.
         name = lag_state_name(i, j)
         if not factor.per_rotor:
             return self.value(at, name)

@@ -65,10 +65,9 @@ def family_number(
     parameters: Mapping[str, CauseParameter],
     ambiguous_with: Collection[str] = (),
 ) -> FamilyNumber | None:
-    """Compute the number that an effect shares with its family, such as the sum of a lag and a delay.
-
-    The number is a weighted sum of the effect's parameters. Its standard error follows from their covariance.
-    """
+    """Compute the number that an effect shares with its family, such as the sum of a lag and a delay."""
+    # The number is a weighted sum of the effect's parameters. Its standard error follows from their
+    # covariance.
     family = kind.family
     members = tuple(other.id for other in kinds.values() if other.family == family)
     if family is None or not family.sentence or (family.in_part and not {*members} & {*ambiguous_with}):
@@ -92,10 +91,8 @@ def family_number(
 
 
 def _reported_covariance(names: Sequence[str], parameters: Mapping[str, CauseParameter], fit: Fit) -> Floats:
-    """Return the covariance of reported parameters: that of the fit, with the variances of the report.
-
-    The fit's covariances count, because a lag and a delay compensate each other.
-    """
+    """Return the covariance of reported parameters: that of the fit, with the variances of the report."""
+    # The fit's covariances count, because a lag and a delay compensate each other.
     covariance = np.zeros((len(names), len(names)))
     free = [index for index, name in enumerate(names) if name in fit.problem.names]
     columns = [fit.problem.names.index(names[index]) for index in free]
@@ -163,12 +160,10 @@ def judge(
     negligible_effects: tuple[NegligibleEffect, ...] = (),
     spline_counts: float = math.inf,
 ) -> Verdict:
-    """Decide the verdict.
-
-    The label is ``unexplained`` if something remains that a better model could predict, and that matters by
-    the measure of effects. Otherwise it is ``ambiguous`` if one of the causes has a close alternative,
-    ``cause_found`` if there is a cause, and ``explained`` if the baseline needs none.
-    """
+    """Decide the verdict."""
+    # The label is ``unexplained`` if something remains that a better model could predict, and that matters by
+    # the measure of effects. Otherwise it is ``ambiguous`` if one of the causes has a close alternative,
+    # ``cause_found`` if there is a cause, and ``explained`` if the baseline needs none.
     negligible_ids = {effect.cause.effect for effect in negligible_effects}
     splines = tuple(cause for cause in search.causes if cause.candidate.is_spline)
     is_above_quantisation = max(after.train.total, after.held_out.total) > thresholds.NOISE_FLOOR
@@ -239,10 +234,8 @@ def describe_negligible_effects(
 
 
 def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexplained: bool) -> NamedCause:
-    """Return a cause with its parameters, confidence and description.
-
-    `unexplained` states whether something unexplained remains, which lowers the confidence.
-    """
+    """Return a cause with its parameters, confidence and description."""
+    # `unexplained` states whether something unexplained remains, which lowers the confidence.
     kind = kinds[cause.effect]
     parameters = cause_parameters(fit, kind, cause.candidate.effect.values)
     description = kind.describe(
@@ -260,10 +253,7 @@ def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexpl
 
 
 def _moments_text(effect: Effect) -> str:
-    """State in which flight an event happened, and when it happened in other flights.
-
-    The text is empty if the effect is not an event.
-    """
+    """State in which flight an event happened, and when it happened in other flights."""
     if not effect.flight:
         return ""
     others = (f", and at {at_s:.2f} s in {label}" for label, at_s in effect.other_moments_s.items())
@@ -271,11 +261,9 @@ def _moments_text(effect: Effect) -> str:
 
 
 def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec]) -> bool:
-    """Whether a random torque acts about a single axis, unlike the disturbances that every rig has.
-
-    The fast disturbance must be significant about one axis only, and have a notable size and correlation
-    time. A thrust that varies at random disturbs all axes, so it excludes a random torque.
-    """
+    """Whether a random torque acts about a single axis, unlike the disturbances that every rig has."""
+    # The fast disturbance must be significant about one axis only, and have a notable size and correlation
+    # time. A thrust that varies at random disturbs all axes, so it excludes a random torque.
     if residual.thrust_gains.size:
         return False
     *_, second_nats, largest_nats = np.sort(residual.gains)
@@ -291,11 +279,9 @@ def has_random_torque(residual: ResidualAnalysis, kinds: Mapping[str, EffectSpec
 
 
 def confidence(cause: Cause, unexplained: bool = False) -> float:
-    """Return the probability, 0 to 1, that a cause is named correctly.
-
-    The probability grows with the lead over the closest rival, which may be the model without the cause, and
-    with the log-likelihood ratio on the held-out flights.
-    """
+    """Return the probability, 0 to 1, that a cause is named correctly."""
+    # The probability grows with the lead over the closest rival, which may be the model without the cause,
+    # and with the log-likelihood ratio on the held-out flights.
     lead_over_no_cause = cause.train - cause.penalty
     leads = [alternative.log_likelihood_ratio for alternative in cause.alternatives]
     margin = max(min([lead_over_no_cause, *leads]), 0.0)
@@ -346,10 +332,9 @@ class PriorConflict:
 
 
 def prior_conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
-    """Find parameters of the rig whose estimate in a `fit` is far from the prior mean, the farthest first.
-
-    The limit is `PRIOR_CONFLICT_STD` standard deviations of the prior. Parameters of effects are not tested.
-    """
+    """Find parameters of the rig whose estimate in a `fit` is far from the prior mean, the farthest first."""
+    # The limit is `PRIOR_CONFLICT_STD` standard deviations of the prior. Parameters of effects are not
+    # tested.
     effect_names = {name for effect in fit.problem.model.effects for name in effect.priors}
     conflicts = (
         PriorConflict(parameter.name, parameter.unit, float(value), fit.std[parameter.name], parameter.prior)

@@ -37,10 +37,8 @@ def capital(text: str) -> str:
 
 
 def evidence_in_words(log_likelihood_ratio: float) -> str:
-    """Write a `log_likelihood_ratio` in nats in words, by the scale of Kass and Raftery (1995).
-
-    The number follows: ``very strong evidence (log-likelihood ratio 12 nats)``.
-    """
+    """Write a `log_likelihood_ratio` in nats in words, by the scale of Kass and Raftery (1995)."""
+    # The number follows: ``very strong evidence (log-likelihood ratio 12 nats)``.
     words = next((text for limit, text in _EVIDENCE if log_likelihood_ratio < limit), "very strong evidence")
     return f"{words} (log-likelihood ratio {nats_in_words(log_likelihood_ratio)})"
 
@@ -67,19 +65,15 @@ def quantity_in_words(quantity: str) -> str:
 
 
 def dependence_in_words(dependence: str) -> str:
-    """Write a `dependence`, ``CHANNEL on QUANTITY``, in words.
-
-    An example is ``a torque about pitch that depends on travel rate``.
-    """
+    """Write a `dependence`, ``CHANNEL on QUANTITY``, in words."""
+    # An example is ``a torque about pitch that depends on travel rate``.
     channel, _, quantity = dependence.partition(" on ")
     return f"{channel_in_words(channel)} that depends on {quantity_in_words(quantity)}"
 
 
 def readable_id(candidate: str) -> str:
-    """Write the id of a `candidate` in words.
-
-    A spline term becomes ``any torque about pitch by travel rate``; the id of an effect is unchanged.
-    """
+    """Write the id of a `candidate` in words."""
+    # A spline term becomes ``any torque about pitch by travel rate``; the id of an effect is unchanged.
     kind, _, rest = candidate.partition(":")
     if kind != "spline":
         return candidate

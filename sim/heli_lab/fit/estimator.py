@@ -67,12 +67,12 @@ class _IndependentDisturbances:
 
 
 class _Likelihood:
-    """Log-likelihood of the innovations as a function of the logarithms of the disturbances' parameters.
+    """Log-likelihood of the innovations as a function of the logarithms of the disturbances' parameters."""
 
-    Derivatives are numerical. The disturbance of one output hardly affects the innovations of another one, so
-    that the disturbances of all outputs are differentiated together: their four parameters cost four
-    evaluations. A disturbance of a gain affects all innovations, and its two parameters cost two evaluations.
-    """
+    # Derivatives are numerical. The disturbance of one output hardly affects the innovations of another one,
+    # so that the disturbances of all outputs are differentiated together: their four parameters cost four
+    # evaluations. A disturbance of a gain affects all innovations, and its two parameters cost two
+    # evaluations.
 
     def __init__(
         self,
@@ -414,10 +414,7 @@ class _GaussNewton:
         return _Iterate(theta, disturbances, filtered, step, log_posterior, log_likelihoods)
 
     def first(self, theta: Floats, disturbances: DisturbanceModel | None) -> _Iterate:
-        """Compute the first iterate, at the start values `theta`, shape (f,).
-
-        If no `disturbances` are given, they are estimated for the parameters that the first step predicts.
-        """
+        """Compute the first iterate, at the start values `theta`, shape (f,)."""
         filtered = self.linearised(theta)
         iterate = self.iterate_at(theta, disturbances or self.functions.model.disturbance_start, filtered)
         if disturbances is None:
@@ -428,10 +425,8 @@ class _GaussNewton:
         return iterate
 
     def with_next_parameters(self, iterate: _Iterate) -> _Iterate | None:
-        """Take a step of the parameters with backtracking.
-
-        The linearised model of `iterate` is released first, because two need too much memory.
-        """
+        """Take a step of the parameters with backtracking."""
+        # The linearised model of `iterate` is released first, because two need too much memory.
         iterate.filtered = None
         share = 1.0
         for _ in range(_MAX_TRIALS):

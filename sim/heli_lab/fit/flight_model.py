@@ -44,16 +44,15 @@ def model_along(
 
 
 class RotorGains(Effect):
-    """Relative changes of the motors' voltage and of the rotors' thrust, as inputs of disturbances.
+    """Relative changes of the motors' voltage and of the rotors' thrust, as inputs of disturbances."""
 
-    Both motors get 1 + s times their voltage. The front rotor then gives 1 + d times its thrust, and the back
-    rotor 1 - d times, after all other effects. Both gains are 0; the estimation core adds random disturbances
-    to them, as to the torques. A supply that wanders varies s alone. Rotor wash, which varies each thrust
-    separately, varies s and d.
-
-    The gain s acts on the voltage, not on the thrust, because the two are not proportional if there is a dead
-    zone. For a wandering supply, this adds 38 and 52 nats to the log-likelihood of two flights (2026-11).
-    """
+    # Both motors get 1 + s times their voltage. The front rotor then gives 1 + d times its thrust, and the
+    # back rotor 1 - d times, after all other effects. Both gains are 0; the estimation core adds random
+    # disturbances to them, as to the torques. A supply that wanders varies s alone. Rotor wash, which varies
+    # each thrust separately, varies s and d.
+    # The gain s acts on the voltage, not on the thrust, because the two are not proportional if there is a
+    # dead zone. For a wandering supply, this adds 38 and 52 nats to the log-likelihood of two flights
+    # (2026-11).
 
     @override
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
@@ -119,9 +118,8 @@ def known_directions(effects: Sequence[Effect]) -> tuple[tuple[int, int], ...]:
 def _acting_voltages(
     model: Model, recording: Recording, every: int, count: int, parameters: Floats, free: Collection[str]
 ) -> ActingInputs:
-    """Return the voltages that act on a `model`: the recorded ones after its delay, raised to the dead zone.
-
-    See `GreyBoxModel.acting_inputs` for the other arguments.
+    """Return the voltages that act on a `model`: the recorded ones after its delay, raised to the dead
+    zone.
     """
     assert isinstance(recording, Record)
     delay, dead_zone_V = delay_of(model, parameters), model.dead_zone_V(parameters, free)

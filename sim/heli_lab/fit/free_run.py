@@ -43,12 +43,11 @@ class VoltageDerivative:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Inputs of the windows, one row per step; the rows of the windows are consecutive.
+    """Inputs of the windows, one row per step; the rows of the windows are consecutive."""
 
-    Within a step each voltage is a straight line, given by its mean and its change over the step. A step as
-    long as the flight's sample has no change. A longer step keeps the first and the second integral of the
-    voltage, so that speeds and angles are the same as with the voltages sample by sample.
-    """
+    # Within a step each voltage is a straight line, given by its mean and its change over the step. A step as
+    # long as the flight's sample has no change. A longer step keeps the first and the second integral of the
+    # voltage, so that speeds and angles are the same as with the voltages sample by sample.
 
     steps: Integers  # (w,): Number of steps of each window
     start_s: Floats  # (w,): Time of each window's first sample since the flight's first
@@ -71,10 +70,9 @@ class Inputs:
 
 
 class Functions:
-    """Rates, measured angles and reset map of a model as CasADi functions, each also with its Jacobians.
+    """Rates, measured angles and reset map of a model as CasADi functions, each also with its Jacobians."""
 
-    All take the state x, the inputs u, the time t and the parameters p.
-    """
+    # All take the state x, the inputs u, the time t and the parameters p.
 
     def __init__(self, model: Model, free: tuple[str, ...]) -> None:
         names = model.parameter_names
@@ -139,8 +137,8 @@ class Kernel(ABC):
         self, inputs: Inputs, start: Floats, parameters: Floats, measured_rad: Floats, sigma_rad: Floats
     ) -> tuple[Floats, Floats]:
         """Simulate as `predict` does, and sum the products that the normal equations need. Shapes:
-        `measured_rad` (n, 3), `sigma_rad` (3,); returns `angles_rad` (n, 3), `normal_matrix` (w, 3,
-        states + free + 1, states + free + 1).
+        `measured_rad` (n, 3), `sigma_rad` (3,); returns `angles_rad` (n, 3), `normal_matrix` (w, 3, states +
+        free + 1, states + free + 1).
         """
 
 
@@ -154,12 +152,10 @@ _FUNCTIONS: Final = "/* The functions of the model end here. */"
 
 
 def _chain_rule_macro(functions: Functions, function: ca.Function) -> str:
-    """Write the chain rule for the sensitivities of a function in C, as the body of a macro.
-
-    The sensitivities are out = fx s + fp + fu du: the Jacobians fx, fp and fu to state, free parameters and
-    voltages, the sensitivities s of the state, and the derivatives du of the voltages. Elements that are
-    always zero are left out.
-    """
+    """Write the chain rule for the sensitivities of a function in C, as the body of a macro."""
+    # The sensitivities are out = fx s + fp + fu du: the Jacobians fx, fp and fu to state, free parameters and
+    # voltages, the sensitivities s of the state, and the derivatives du of the voltages. Elements that are
+    # always zero are left out.
     lines = []
     # In C, fx, fp and fu hold the nonzeros of the Jacobians to state, free parameters and voltages. The
     # sensitivities of the state are s, those of the voltages du.
@@ -468,10 +464,8 @@ def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> K
 
 @functools.lru_cache(maxsize=4)
 def _functions_and_library(model: Model, free: tuple[str, ...]) -> tuple[Functions, Path | None]:
-    """Return the functions of a kernel, and its compiled library if there is a C compiler.
-
-    The results are kept, because flights are predicted one after the other with the same model, and deriving
-    its equations takes as long as predicting one flight.
-    """
+    """Return the functions of a kernel, and its compiled library if there is a C compiler."""
+    # The results are kept, because flights are predicted one after the other with the same model, and
+    # deriving its equations takes as long as predicting one flight.
     functions = Functions(model, free)
     return functions, compile_source("identify", kernel_source(functions))

@@ -220,11 +220,9 @@ def unexplained_shares(flight: Trace) -> tuple[Floats, Floats]:
 
 
 def unexcited_axes(flights: Sequence[Trace]) -> dict[str, float]:
-    """Find the axes whose free runs show nothing about the model.
-
-    Within each window, such an axis rests, or follows a parabola to within its encoder's quantisation. Any
-    model predicts that.
-    """
+    """Find the axes whose free runs show nothing about the model."""
+    # Within each window, such an axis rests, or follows a parabola to within its encoder's quantisation. Any
+    # model predicts that.
     motion = np.array([unexplained_shares(flight)[1] for flight in flights])
     range_rad = np.array([np.ptp(flight.measured_rad, axis=0) for flight in flights])
     count_rad = np.array([flight.sigma_rad for flight in flights]) * np.sqrt(12.0)

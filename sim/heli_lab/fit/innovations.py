@@ -75,10 +75,8 @@ class Innovations:
 
     @cached_property
     def log_likelihoods(self) -> Floats:
-        """Log-likelihood of each output's innovations [nats], without its constant, shape (m,).
-
-        This is the prediction error decomposition (Harvey, section 3.4).
-        """
+        """Log-likelihood of each output's innovations [nats], without its constant, shape (m,)."""
+        # This is the prediction error decomposition (Harvey, section 3.4).
         outputs = len(self.log_variances)
         squares = np.zeros(outputs)
         for flight in self.flights:
@@ -120,12 +118,11 @@ FlightErrors = Sequence[Sequence[ModelErrors]]
 
 
 class FilterSystem(NamedTuple):
-    """Linear system of the Kalman filter in one window of b blocks.
+    """Linear system of the Kalman filter in one window of b blocks."""
 
-    Its fields are the leading arguments of the functions of `_kalman`; the signals follow. There are m + g
-    inputs, the disturbed parameters. Each has a fast and a slow Gauss-Markov state: first come all fast ones,
-    then all slow ones.
-    """
+    # Its fields are the leading arguments of the functions of `_kalman`; the signals follow. There are m + g
+    # inputs, the disturbed parameters. Each has a fast and a slow Gauss-Markov state: first come all fast
+    # ones, then all slow ones.
 
     transition: Floats  # transition, part_input, measurement: As in `Blocks`
     part_input: Floats
@@ -339,14 +336,12 @@ class InnovationsModel:
 def _repetition_correction_nats(
     linearised: LinearisedFlight, blocks: Blocks, models: Sequence[DisturbanceModel]
 ) -> Floats:
-    """Correct a window's log-likelihood for measurements that repeat one error. Returns shape (models, m).
-
-    While an axis crosses its play, or is at rest, N measurements have the same error, of variance v. The
-    filter treats them as N measurements with independent errors of variance N v, which give the same
-    information. But their density must be that of one measurement: the other N - 1 get the density of
-    independent, uniform rounding errors. Otherwise, a smaller variance would become more likely the longer a
-    count stays the same, whatever the measurements are.
-    """
+    """Correct a window's log-likelihood for measurements that repeat one error. Returns shape (models, m)."""
+    # While an axis crosses its play, or is at rest, N measurements have the same error, of variance v. The
+    # filter treats them as N measurements with independent errors of variance N v, which give the same
+    # information. But their density must be that of one measurement: the other N - 1 get the density of
+    # independent, uniform rounding errors. Otherwise, a smaller variance would become more likely the longer
+    # a count stays the same, whatever the measurements are.
     at_rest = linearised.at_rest[blocks.rows]
     if not (linearised.model.known_directions or at_rest.any()):
         # Without play and rest the variance is that of rounding, and each logarithm below is 0.

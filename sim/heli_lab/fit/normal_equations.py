@@ -90,13 +90,12 @@ rounding."""
 def bounded_solve(
     matrix: Floats, right: Floats, low: Floats, high: Floats, per_flight: Integers = NO_BLOCKS
 ) -> Floats:
-    """Minimise xᵀ matrix x / 2 - rightᵀ x within bounds, for a positive definite matrix. Shapes: `matrix`
-    (f, f), `right` (f,), `low, high` (f,), `per_flight` (flights, k); returns (f,).
-
-    First, all unknowns that would leave their bounds are fixed on them, until none would leave. Then unknowns
-    whose gradient points inside are released one by one (BVLS: Stark and Parker, Comput. Stat. 10 (1995)
-    129).
+    """Minimise xᵀ matrix x / 2 - rightᵀ x within bounds, for a positive definite matrix. Shapes: `matrix` (f,
+    f), `right` (f,), `low, high` (f,), `per_flight` (flights, k); returns (f,).
     """
+    # First, all unknowns that would leave their bounds are fixed on them, until none would leave. Then
+    # unknowns whose gradient points inside are released one by one (BVLS: Stark and Parker, Comput. Stat. 10
+    # (1995) 129).
 
     def minimum(x: Floats, free: Booleans) -> Floats:
         """Minimise over the `free` unknowns; the others stay at `x`."""

@@ -100,12 +100,11 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
 
 
 def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None = None) -> dict[str, Prior]:
-    """Return the priors of `FLIGHT_CONSTANTS`, the parameters that differ from flight to flight.
-
-    The priors are weak: a few seconds of flight outweigh them. The standard deviation of an encoder zero is
-    half its tolerance in the rig file. The standard deviation of a torque is half its tolerance too, where
-    cables add a tolerance of their own, `UNSTATED`: 0.05, 0.02 and 0.1 N m about elevation, pitch and travel.
-    """
+    """Return the priors of `FLIGHT_CONSTANTS`, the parameters that differ from flight to flight."""
+    # The priors are weak: a few seconds of flight outweigh them. The standard deviation of an encoder zero is
+    # half its tolerance in the rig file. The standard deviation of a torque is half its tolerance too, where
+    # cables add a tolerance of their own, `UNSTATED`: 0.05, 0.02 and 0.1 N m about elevation, pitch and
+    # travel.
     known = {**{name: rig[name].value for name in FLIGHT_CONSTANTS}, **(about or {})}
     priors = {}
     for name in model.parameter_names:
@@ -131,11 +130,9 @@ def _unknown_parameter_error(model: Model, name: str) -> IdentifyError:
 
 
 def rig_prior(rig: Rig, name: str) -> Prior:
-    """Return the prior of the rig parameter `name`: normal, with half the tolerance as standard deviation.
-
-    If the parameter cannot be negative, the prior is bounded slightly above 0, because a length or a gain of
-    0 is impossible.
-    """
+    """Return the prior of the rig parameter `name`: normal, with half the tolerance as standard deviation."""
+    # If the parameter cannot be negative, the prior is bounded slightly above 0, because a length or a gain
+    # of 0 is impossible.
     number = rig[name]
     low = -np.inf if rig.may_be_negative(name) else MIN_OF_PRIOR * abs(number.value)
     return Prior(mean=number.value, std=0.5 * number.tolerance, low=low)
@@ -430,11 +427,10 @@ def initial_state_guess(problem: Problem, theta: Floats) -> list[Floats]:
 def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Floats:
     """Estimate the states of the model at given rows of a flight from the measured angles. Shapes: `rows`
     (w,), `theta` (f,); returns (w, states).
-
-    Angles and rates come from parabolas through the samples around each row. States of effects come from a
-    free run (open-loop simulation) that ends at the row; a state that an encoder measures is the measured
-    angle.
     """
+    # Angles and rates come from parabolas through the samples around each row. States of effects come from a
+    # free run (open-loop simulation) that ends at the row; a state that an encoder measures is the measured
+    # angle.
     record = problem.records[index]
     states = np.zeros((len(rows), problem.state_count))
     states[:, :RIGID_STATES] = _angles_and_rates_by_parabola(record, rows, STATE_FIT_S)
@@ -449,13 +445,12 @@ def states_at(problem: Problem, index: int, rows: Integers, theta: Floats) -> Fl
 
 
 def alternative_states(problem: Problem, index: int, theta: Floats, states: Floats) -> list[Floats]:
-    """List other initial states to try for windows whose optimisation ended in a wrong local minimum.
-    Shapes: `theta` (f,), `states` (w, states); returns (w, states).
-
-    The first alternative is the end of the previous window, if the two windows adjoin: friction and backlash
-    depend on the motion before. The second has rates from a few samples only, which a jump of the torque
-    nearby does not distort. The others are the alternatives that effects define.
+    """List other initial states to try for windows whose optimisation ended in a wrong local minimum. Shapes:
+    `theta` (f,), `states` (w, states); returns (w, states).
     """
+    # The first alternative is the end of the previous window, if the two windows adjoin: friction and
+    # backlash depend on the motion before. The second has rates from a few samples only, which a jump of the
+    # torque nearby does not distort. The others are the alternatives that effects define.
     short_fit = states.copy()
     short_fit[:, :RIGID_STATES] = _angles_and_rates_by_parabola(
         problem.records[index], problem.first_rows(index), SHORT_FIT_S
@@ -465,11 +460,9 @@ def alternative_states(problem: Problem, index: int, theta: Floats, states: Floa
 
 
 def _ends_of_previous_windows(problem: Problem, index: int, theta: Floats, states: Floats) -> Floats:
-    """Predict the state at the end of the window before each window, shape (w, states).
-
-    The state of a window stays as in `states` if no window ends just before it, or if that prediction
-    diverges.
-    """
+    """Predict the state at the end of the window before each window, shape (w, states)."""
+    # The state of a window stays as in `states` if no window ends just before it, or if that prediction
+    # diverges.
     grid, parameters = problem.grid(index, fine=False, theta=theta), problem.parameters(theta, index)
     _, ends = problem.kernel.predict(grid.inputs, states, parameters)
     first, count = np.array(problem.windows(index)).T
@@ -503,11 +496,10 @@ def _effect_states_after_run_in(
 ) -> Floats:
     """Estimate the states of effects at given rows by simulations that end there. Shapes: `rows` (w,),
     `states` (w, states); returns (w, states - 6).
-
-    A simulation begins `SETTLED_S` before its row, with effects at rest. It may begin before the segment of
-    free flight, because the voltages drive the rotors also while the arm lies on its table. There, angles and
-    rates are not those of free flight, and the simulation starts with the ones at its end instead.
     """
+    # A simulation begins `SETTLED_S` before its row, with effects at rest. It may begin before the segment of
+    # free flight, because the voltages drive the rotors also while the arm lies on its table. There, angles
+    # and rates are not those of free flight, and the simulation starts with the ones at its end instead.
     record, parameters = problem.records[index], problem.parameters(theta, index)
     effect_states = np.zeros((len(rows), problem.state_count - RIGID_STATES))
     # No simulation may cross a gap of the log.

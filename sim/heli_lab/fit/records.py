@@ -30,11 +30,9 @@ half a degree: far more than any other error. Below 1, times in whole millisecon
 
 
 def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
-    """Return the angle of one count of each encoder of a flight. Returns shape `count_rad` (3,).
-
-    A log of the board states this angle. In a table, it is the smallest step of the angles. If the angles are
-    not in whole counts, the count of the rig file is used.
-    """
+    """Return the angle of one count of each encoder of a flight. Returns shape `count_rad` (3,)."""
+    # A log of the board states this angle. In a table, it is the smallest step of the angles. If the angles
+    # are not in whole counts, the count of the rig file is used.
     counts, notes = count_rad(flight), []
     for index, axis in enumerate(AXES):
         if math.isfinite(counts[index]):
@@ -46,10 +44,8 @@ def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
 
 
 def even_step_s(flight: Flight, label: str) -> float:
-    """Return the mean time from row to row [s], and check that the rows are evenly spaced.
-
-    The mean is more exact than one difference, because times are often printed in whole milliseconds.
-    """
+    """Return the mean time from row to row [s], and check that the rows are evenly spaced."""
+    # The mean is more exact than one difference, because times are often printed in whole milliseconds.
     steps_s = np.diff(flight.t_s)
     steps_s = np.delete(steps_s, flight.gaps)
     step_s = float(steps_s.mean())
@@ -358,11 +354,9 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> Booleans:
 
 
 def _table_deg(elevation_deg: Floats, rig: Rig, step_s: float) -> float:
-    """Return the elevation at which the arm lies on its table [deg].
-
-    If the flight begins at rest at its lowest point, it is the higher one of this rest and the table of the
-    rig file; otherwise that of the rig file.
-    """
+    """Return the elevation at which the arm lies on its table [deg]."""
+    # If the flight begins at rest at its lowest point, it is the higher one of this rest and the table of the
+    # rig file; otherwise that of the rig file.
     rig_deg = rig["elevation_min"].value
     first_rows = elevation_deg[: round(_REST_s / step_s)]
     start_deg = float(np.median(first_rows))
@@ -387,11 +381,9 @@ def _in_contact(flight: Flight, rig: Rig, table_deg: float) -> Booleans:
 
 
 def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Booleans:
-    """Find the rows of a final descent with reduced voltages, shape (n,).
-
-    Such a log may end before the arm reaches the table. No row is true if the flight ends with thrust, or
-    high.
-    """
+    """Find the rows of a final descent with reduced voltages, shape (n,)."""
+    # Such a log may end before the arm reaches the table. No row is true if the flight ends with thrust, or
+    # high.
     descent = np.zeros(len(flight), bool)
     flying = ~near_table
     lag_rows = max(1, round(thresholds.LAG_S / step_s))

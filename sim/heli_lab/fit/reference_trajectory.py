@@ -200,15 +200,13 @@ def _count_changes(record: Recording) -> Booleans:
 def _directions_in_play(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:
     """Estimate the position of each output within its play, from the directions in which its count moved.
     Shapes: `nodes` (n,); returns `directions` (n, m), `variance` (n, m), `pause_s` (n, m).
-
-    The position is 1 or -1, the direction of the last move, while the count changes. If an axis reverses, its
-    position changes with the square of the time since the count stopped. If the count rests for long and then
-    continues in the same direction, the axis has moved into the play and back.
-
-    Within the play, the count does not depend on the position of the axis, so that the play is one wide cell
-    of a quantiser (Widrow and Kollar, Quantization Noise, 2008). The position has a beta distribution between
-    both sides, uniform if its mean is in the middle; its variance is (1 - mean^2) / 3.
     """
+    # The position is 1 or -1, the direction of the last move, while the count changes. If an axis reverses,
+    # its position changes with the square of the time since the count stopped. If the count rests for long
+    # and then continues in the same direction, the axis has moved into the play and back.
+    # Within the play, the count does not depend on the position of the axis, so that the play is one wide
+    # cell of a quantiser (Widrow and Kollar, Quantization Noise, 2008). The position has a beta distribution
+    # between both sides, uniform if its mean is in the middle; its variance is (1 - mean^2) / 3.
     changed = _count_changes(record)
     directions = np.zeros((len(nodes), changed.shape[1]))
     pause_s = np.zeros_like(directions)

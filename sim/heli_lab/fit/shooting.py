@@ -70,8 +70,8 @@ def window_cost(
     weights: Floats | float = 1.0,
 ) -> Floats:
     """Compute the cost of each window of a record, shape (w,): the weighted sum of squared residuals, plus
-    the prior of the initial states; infinite if a prediction diverges. Shapes: `squares` (w, 3), `states`
-    (w, states), `prior_mean` (w, states), `variance` (3,), `weights` (w,).
+    the prior of the initial states; infinite if a prediction diverges. Shapes: `squares` (w, 3), `states` (w,
+    states), `prior_mean` (w, states), `variance` (3,), `weights` (w,).
     """
     deviation = (states - prior_mean)[:, RIGID_STATES:] / problem.state_std
     cost = weights * (squares / variance).sum(axis=1) + (deviation**2).sum(axis=1)
@@ -94,10 +94,7 @@ class ShootingCost:
         """Free parameters of the last guess of the initial states, and that guess."""
 
     def initial_state_guess(self, theta: Floats) -> list[Floats]:
-        """Guess the initial states from the angles, with free parameters `theta`, shape (f,).
-
-        The result of `initial_states.initial_state_guess` is kept until the parameters change.
-        """
+        """Guess the initial states from the angles, with free parameters `theta`, shape (f,)."""
         if self._last_guess is None or not np.array_equal(self._last_guess[0], theta):
             self._last_guess = theta.copy(), initial_state_guess(self.problem, theta)
         _, guess = self._last_guess
@@ -154,8 +151,6 @@ class ShootingCost:
     def _variance_and_weights(self, evaluation: Evaluation, grid: Grid) -> tuple[Floats, Floats]:
         """Estimate the long-run variance of each axis, shape (3,), and the robust weight of each window,
         shape (w,), of a record.
-
-        The two depend on each other, so that they are estimated in turn.
         """
         weights = np.ones(len(grid.slices))
         for _ in range(thresholds.WEIGHT_TURNS if self.robust else 1):
@@ -190,13 +185,11 @@ information."""
 
 def eliminate(matrices: Floats, count: int, guard: float = 0.0) -> tuple[Floats, Floats]:
     """Eliminate the leading unknowns of symmetric systems [[A, B], [B', C]] by the Schur complement. Shapes:
-    `matrices` (..., m, m); returns `complement` (..., m - count, m - count), `gain` (..., count, m -
-    count).
-
-    The right-hand side may be appended to a system as its last row and column. The last column of the
-    complement is then the right-hand side of the reduced system. The last column of the gain is A^-1 times
-    the first part of the right-hand side.
+    `matrices` (..., m, m); returns `complement` (..., m - count, m - count), `gain` (..., count, m - count).
     """
+    # The right-hand side may be appended to a system as its last row and column. The last column of the
+    # complement is then the right-hand side of the reduced system. The last column of the gain is A^-1 times
+    # the first part of the right-hand side.
     leading = matrices[..., :count, :count].copy()
     coupling = matrices[..., :count, count:]
     diagonal = np.arange(count)
@@ -302,10 +295,10 @@ def restart_states(
 
 
 class _WindowSearch:
-    """Best initial states so far of some windows of a record, each window with its own cost. `steps` has
-    shape (m,). `variance` has shape (3,). `parameters` has shape (p,). `prior_mean` has shape (k,
-    states). `normal_matrix` has shape (k, 3, z + 1, z + 1). `residual` has shape (m, 3).
-    """
+    """Best initial states so far of some windows of a record, each window with its own cost."""
+
+    # `steps` has shape (m,). `variance` has shape (3,). `parameters` has shape (p,). `prior_mean` has shape
+    # (k, states). `normal_matrix` has shape (k, 3, z + 1, z + 1). `residual` has shape (m, 3).
 
     def __init__(self, cost: ShootingCost, iterate: Iterate, index: int, windows: Integers) -> None:
         problem, evaluation = cost.problem, iterate.evaluations[index]
@@ -488,10 +481,8 @@ class MultipleShooting:
     def descend(
         self, iterate: Iterate, stage: str, shares: WorkShares, max_steps: int
     ) -> tuple[Iterate, bool]:
-        """Reduce the cost by Levenberg-Marquardt steps until the steps are small.
-
-        Returns `iterate`, `converged`.
-        """
+        """Reduce the cost by Levenberg-Marquardt steps until the steps are small."""
+        # Returns `iterate`, `converged`.
 
         def report(number: int, cost: float) -> None:
             """Report the progress after step `number`."""
@@ -673,10 +664,9 @@ def _start_point(cost: ShootingCost, start: Fit | Mapping[str, float] | None) ->
 
 
 def _copy_states(start: Fit, problem: Problem, states: list[Floats]) -> None:
-    """Copy the initial states of an earlier fit into `states`, for the states and windows that both have.
-
-    An effect's state is copied together with the rates of the arm, because the two compensate for each other.
-    """
+    """Copy the initial states of an earlier fit into `states`, for the states and windows that both have."""
+    # An effect's state is copied together with the rates of the arm, because the two compensate for each
+    # other.
     old_columns = {state.name: column for column, state in enumerate(start.problem.model.states)}
     for new_column, state in enumerate(problem.model.states):
         if state.name not in old_columns:

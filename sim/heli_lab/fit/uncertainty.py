@@ -25,10 +25,9 @@ from heli_lab.fit.thresholds import (
 def autocovariance(residual: Floats, windows: Sequence[slice], lags: int) -> Floats:
     """Estimate the autocovariance of residuals about zero, from pairs of rows in the same window. Shapes:
     `residual` (m, a); returns (lags + 1, a).
-
-    At each lag, the sum of products is divided by the number of all rows, not of all pairs. This keeps the
-    spectrum positive.
     """
+    # At each lag, the sum of products is divided by the number of all rows, not of all pairs. This keeps the
+    # spectrum positive.
     sums = np.zeros((lags + 1, residual.shape[1]))
     for window in windows:
         rows = residual[window]
@@ -60,12 +59,11 @@ def quantisation_scatter(
 ) -> Floats:
     """Simulate how quantisation scatters the estimates, by dither; return standard deviations, shape (f,).
     Shapes: `theta` (f,), `states` (w, states), `covariance` (f, f).
-
-    Quantisation errors are not white noise: while an axis hovers, the same count stays for seconds, and its
-    error is the same in every window. Therefore the predicted angles are quantised again, many times, with
-    the counts shifted by random phases. The scatter of the estimates under these errors is computed to first
-    order, and that of the priors is added.
     """
+    # Quantisation errors are not white noise: while an axis hovers, the same count stays for seconds, and its
+    # error is the same in every window. Therefore the predicted angles are quantised again, many times, with
+    # the counts shifted by random phases. The scatter of the estimates under these errors is computed to
+    # first order, and that of the priors is added.
     random = np.random.default_rng(0)
     scores = np.zeros((DITHER_PHASES, len(theta)))
     state_count = problem.state_count
@@ -97,11 +95,10 @@ def quantisation_scatter(
 def timing_variance(problem: Problem) -> Floats:
     """Return the variance to add to each estimated time, such as a lag, because of the log's sample time.
     Returns shape (f,).
-
-    A row of a log holds the voltage of its tick, but not the moment within the tick at which the motors got
-    it. Simulators differ in this moment by half a tick, while a fit finds the time to a fiftieth of a tick:
-    its standard error alone would be too small.
     """
+    # A row of a log holds the voltage of its tick, but not the moment within the tick at which the motors got
+    # it. Simulators differ in this moment by half a tick, while a fit finds the time to a fiftieth of a tick:
+    # its standard error alone would be too small.
     effect_names = {name for effect in problem.model.effects for name in effect.priors}
     tick_s = max(record.step_s for record in problem.records)
     is_time = [parameter.unit == "s" and parameter.quantity in effect_names for parameter in problem.free]
@@ -181,12 +178,11 @@ It is 1 for a true model; a count that stays for several samples gives more."""
 def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float) -> Floats:
     """Estimate the long-run (HAC) variance of the residuals: the variance of a sum of many successive
     residuals, divided by their number. Shapes: `residual` (m, 3); returns (3,).
-
-    Parameters of the rig change the prediction slowly. Their standard errors therefore depend not on the
-    residuals' variance but on their spectral density at low frequencies (Newey and West, with Bartlett's
-    weights). This density is larger if a count stays for several samples, and much larger if the model is
-    wrong.
     """
+    # Parameters of the rig change the prediction slowly. Their standard errors therefore depend not on the
+    # residuals' variance but on their spectral density at low frequencies (Newey and West, with Bartlett's
+    # weights). This density is larger if a count stays for several samples, and much larger if the model is
+    # wrong.
     lags = max(1, round(LONGEST_LAG_S / step_s))
     covariance = autocovariance(residual, windows, lags)
     return np.asarray(np.maximum(1.0, np.maximum(covariance[0], newey_west_variance(covariance))))
@@ -195,12 +191,11 @@ def long_run_variance(residual: Floats, windows: Sequence[slice], step_s: float)
 def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floats:
     """Raise small variances, so that a wrong model is not fitted to one axis alone. Shapes: `variance` (...,
     3), `mean_square` (..., 3), `sigma_rad` (3,); returns (..., 3).
-
-    The fit divides the squared residuals of each axis by their variance. If the model is wrong, this favours
-    travel, in which free initial states can hide the error, and neglects pitch, which shows it. On measured
-    flights, the error of pitch doubled. Therefore the variance of each axis, in
-    rad^2, is at least `MIN_SHARE` of the largest variance that quantisation does not explain.
     """
+    # The fit divides the squared residuals of each axis by their variance. If the model is wrong, this
+    # favours travel, in which free initial states can hide the error, and neglects pitch, which shows it. On
+    # measured flights, the error of pitch doubled. Therefore the variance of each axis, in rad^2, is at least
+    # `MIN_SHARE` of the largest variance that quantisation does not explain.
     # Share of an axis' variance that counts as model error: none up to twice the quantisation.
     model_error_share = np.maximum(0.0, 1.0 - _QUANTISATION_ONLY / np.maximum(mean_square, 1e-12))
     model_error_rad2 = variance * model_error_share * sigma_rad**2
@@ -209,12 +204,11 @@ def floor_axes(variance: Floats, mean_square: Floats, sigma_rad: Floats) -> Floa
 
 
 def window_weights(residual: Floats, windows: Sequence[slice], variance: Floats) -> Floats:
-    """Compute robust weights of the windows, shape (w,), so that a few disturbed windows do not decide a
-    fit. Shapes: `residual` (m, 3), `variance` (3,).
-
-    The weight is 1 for a window with a usual error. If the rms error exceeds `OUTLIER` times the median, the
-    weight reduces it to that limit. Beyond `GROSS` times the median, the weight falls to 0.
+    """Compute robust weights of the windows, shape (w,), so that a few disturbed windows do not decide a fit.
+    Shapes: `residual` (m, 3), `variance` (3,).
     """
+    # The weight is 1 for a window with a usual error. If the rms error exceeds `OUTLIER` times the median,
+    # the weight reduces it to that limit. Beyond `GROSS` times the median, the weight falls to 0.
     rms = np.sqrt([np.mean(residual[window] ** 2 / variance) for window in windows])
     relative_rms = np.maximum(rms, 1e-12) / max(float(np.median(rms)), 1e-12)
     outlier_factor = np.minimum(1.0, OUTLIER / relative_rms) ** 2

@@ -76,9 +76,8 @@ class AdvanceEstimate:
 def most_likely_advance(
     present_rows: float, score: float, information: float, candidates_rows: Sequence[float] = ()
 ) -> AdvanceEstimate:
-    """Return the most likely advance, given the present one and the derivatives of the log-likelihood there.
-
-    Without candidates, any advance from 0 to 1 is possible.
+    """Return the most likely advance, given the present one and the derivatives of the log-likelihood
+    there.
     """
     if information <= 0.0:
         return AdvanceEstimate(present_rows, 0.0)
@@ -91,11 +90,9 @@ def most_likely_advance(
 
 
 def advance_rates(linearised: LinearisedFlight) -> Floats:
-    """Differentiate the rates of the state by the advance of a flight's voltages, shape (n, states, 1).
-
-    The result is a secant over the range of the advance, because voltages that cross the dead zone make the
-    rates nonlinear.
-    """
+    """Differentiate the rates of the state by the advance of a flight's voltages, shape (n, states, 1)."""
+    # The result is a secant over the range of the advance, because voltages that cross the dead zone make the
+    # rates nonlinear.
     reference, trajectory, functions = linearised.reference, linearised.trajectory, linearised.functions
     record = reference.record
     assert isinstance(record, Record)

@@ -139,10 +139,7 @@ def make_grid(
 
 
 class WindowGrids:
-    """Windows of all flights, each with a fine and a coarse grid that are computed when first needed.
-
-    The fine grid compares every sample. The coarse grid compares samples about `step_s` apart.
-    """
+    """Windows of all flights, each with a fine and a coarse grid that are computed when first needed."""
 
     def __init__(self, records: Sequence[Record], window_s: float, step_s: float, parts: int = 1) -> None:
         self.records, self.window_s, self.step_s, self.parts = tuple(records), window_s, step_s, parts
@@ -159,10 +156,7 @@ class WindowGrids:
         return WindowGrids(self.records, window_s or self.window_s, self.step_s, parts or self.parts)
 
     def windows(self, index: int) -> list[tuple[int, int]]:
-        """Return first row and number of rows of each window of flight `index`.
-
-        Each window is a whole number of coarse steps and of blocks of `thresholds.BLOCK_S`.
-        """
+        """Return first row and number of rows of each window of flight `index`."""
         record = self.records[index]
         rows_per_block = max(1, int(BLOCK_S / record.step_s + 1e-6))
         every = math.lcm(self._rows_per_coarse_step(record), rows_per_block)
@@ -200,10 +194,9 @@ def _mean_and_change(
 ) -> tuple[Floats, Floats]:
     """Replace the delayed voltages within each step by a straight line. Shapes: `volts` (n, 2), `rows` (m,);
     returns `mean` (m, 2), `change` (m, 2).
-
-    The line has the same first and second integral over the step as the voltages. A rotor and an axis, which
-    integrate the voltage, then end the step with nearly the same speed and angle.
     """
+    # The line has the same first and second integral over the step as the voltages. A rotor and an axis,
+    # which integrate the voltage, then end the step with nearly the same speed and angle.
     if every == 1 and delay_s == 0.0:
         return volts[rows], np.zeros((len(rows), 2))
     # Both integrals at the beginning of each row, and at the end of the last one.

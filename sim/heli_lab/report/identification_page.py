@@ -62,10 +62,7 @@ def identification_figure(trace: Trace, role: str) -> Figure:
 
 
 def figure_of_parameters(identification: Identification) -> Figure:
-    """Draw each parameter's change from its prior mean, in standard deviations of the prior.
-
-    A grey band shows the prior; a bar shows the estimate with two standard errors.
-    """
+    """Draw each parameter's change from its prior mean, in standard deviations of the prior."""
     from matplotlib.figure import Figure
 
     problem, fit = identification.fit.problem, identification.fit
@@ -205,11 +202,9 @@ def _sentences_on_convergence(identification: Identification) -> list[str]:
 def _sentences_on_unexcited_axes(
     identification: Identification, unexcited: Mapping[str, float], window_s: float
 ) -> list[str]:
-    """Write sentences on what the flights do not show, because axes rest or move too evenly.
-
-    `unexcited` has the range of these axes [deg], 0 for an axis at rest, and `window_s` is the length of the
-    free runs.
-    """
+    """Write sentences on what the flights do not show, because axes rest or move too evenly."""
+    # `unexcited` has the range of these axes [deg], 0 for an axis at rest, and `window_s` is the length of
+    # the free runs.
     if not unexcited:
         return []
     sentences = []

@@ -25,10 +25,8 @@ from heli_lab.watch.learn import estimate_with_fixed_rig
 def with_likely_advance(
     model: Model, rig: Rig, records: Sequence[Record], loop_Hz: float | None
 ) -> tuple[Record, ...]:
-    """Return flights whose voltages act earlier within their rows, if the flights are much more likely so.
-
-    `loop_Hz` is the rate of the control loop, None if it is unknown. The logs are of one logger.
-    """
+    """Return flights whose voltages act earlier within their rows, if the flights are much more likely so."""
+    # `loop_Hz` is the rate of the control loop, None if it is unknown. The logs are of one logger.
     present = tuple(records) if loop_Hz is None else sampled(records, loop_Hz)
     if model.delay or not any(may_be_slower(record, loop_Hz) for record in records):
         return present
@@ -48,8 +46,6 @@ def acting_flights(
 ) -> tuple[list[Flight], list[str]]:
     """Return flights of one logger with the mean voltages that acted from row to row, and what their logs
     lack, one sentence for each kind of log.
-
-    A flight without free flight stays as it is.
     """
     result, notes = [], dict[str, None]()
     for flight, label in zip(flights, labels, strict=True):

@@ -69,11 +69,9 @@ class Tail:
         return _SUPPORTED_LENGTHS * self.healthy_s / 3600.0
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
-        """Return the evidence that is exceeded once per `false_alarm_interval_h` of free flight [nats].
-
-        The rate is averaged over the tails that could have given the excesses. If the healthy flights do not
-        support the interval, the longest supported one is used.
-        """
+        """Return the evidence that is exceeded once per `false_alarm_interval_h` of free flight [nats]."""
+        # The rate is averaged over the tails that could have given the excesses. If the healthy flights do
+        # not support the interval, the longest supported one is used.
         interval_h = min(false_alarm_interval_h, self.supported_interval_h)
         expected_excursions = self.per_hour * interval_h
         if expected_excursions <= 1.0 or not math.isfinite(self.level_nats):
@@ -92,11 +90,11 @@ class Tail:
         return self.level_nats + float(brentq(log_expected_alarms, 0.0, high_nats, xtol=1e-6))
 
     def _posterior_tails(self) -> _PosteriorTails:
-        """Return tails from the posterior of shape and log scale, with weights of Gauss-Hermite quadrature.
-
-        The posterior is approximately normal. Its precision is the sum of the Fisher information of the
-        generalised Pareto distribution and the precision of the shape's prior.
+        """Return tails from the posterior of shape and log scale, with weights of Gauss-Hermite
+        quadrature.
         """
+        # The posterior is approximately normal. Its precision is the sum of the Fisher information of the
+        # generalised Pareto distribution and the precision of the shape's prior.
         # The Fisher information is infinite at a shape of -1/2.
         xi = max(self.shape, -0.4)
         # Information of a single excess about shape and log scale (Smith 1987), (2, 2).
@@ -222,11 +220,9 @@ class Calibration:
         return self.uncertainty is not EXACT
 
     def threshold_nats(self, false_alarm_interval_h: float) -> float:
-        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`.
-
-        If the nominal flights support only a shorter interval, the threshold is that of the longest supported
-        interval. The threshold is at least that of a twin with the true parameters.
-        """
+        """Return the alarm threshold [nats] for one false alarm per `false_alarm_interval_h`."""
+        # If the nominal flights support only a shorter interval, the threshold is that of the longest
+        # supported interval. The threshold is at least that of a twin with the true parameters.
         return max(
             self.tail.threshold_nats(false_alarm_interval_h), IDEAL.threshold_nats(false_alarm_interval_h)
         )

@@ -194,11 +194,9 @@ class ScaleTest:
         )
 
     def explanations(self, kinds: Iterable[EffectSpec]) -> list[Explanation]:
-        """Fit a wrong supply, and the most likely of the effects `kinds`, in the place of a wrong scale.
-
-        Effects with states, such as a lag, are left out: the lag of the thrust is always fitted. A first
-        step of a fit predicts which effects are likely.
-        """
+        """Fit a wrong supply, and the most likely of the effects `kinds`, in the place of a wrong scale."""
+        # Effects with states, such as a lag, are left out: the lag of the thrust is always fitted. A first
+        # step of a fit predicts which effects are likely.
         effects = [_EffectFit(kind, self._weak_form, self._all_one) for kind in kinds if _is_static(kind)]
         effects.sort(key=lambda effect: -effect.predicted_nats(self._noise))
         fitted = [self._supply(), *(effect.explanation(self._noise) for effect in effects[:_FITTED_EFFECTS])]
@@ -291,25 +289,20 @@ def _estimate_scale_of_axis(
 
 
 def _noise_of_axes(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
-    """Estimate the noise of each axis from the residuals of a fit in which all scales are free. Returns
-    shape `noise` (3,).
-
-    A wrong scale does then not count as noise. The standard deviations follow from the residuals by three
-    rules.
-
-    1. Neighbouring residuals are correlated. As for a first-order autoregression, their long-run variance is
-       the variance times (1 + rho) / (1 - rho), with the correlation rho of neighbours.
-    2. Least squares assume that the voltages are independent of the disturbances, but a control law responds
-    to
-       disturbances (Ljung, chapter 13). This gives the scale a relative error of the order of r, the power of
-       the residuals divided by that of the predicted accelerations. In a hover, for example, the scale of
-       travel is estimated at a quarter of its true value. From n independent residuals alone, the standard
-       error would be sqrt(r / n). The noise is therefore multiplied by sqrt(1 + (c r)^2 n / r), with c =
-       `_FEEDBACK`.
-    3. If only disturbances move an axis, a small scale explains its angles as well as any other scale, and
-    makes
-       its residuals small. If the scale is below 1, the residuals are therefore divided by it.
+    """Estimate the noise of each axis from the residuals of a fit in which all scales are free. Returns shape
+    `noise` (3,).
     """
+    # A wrong scale does then not count as noise. The standard deviations follow from the residuals by three
+    # rules.
+    # 1. Neighbouring residuals are correlated. As for a first-order autoregression, their long-run variance
+    # is the variance times (1 + rho) / (1 - rho), with the correlation rho of neighbours. 2. Least squares
+    # assume that the voltages are independent of the disturbances, but a control law responds to disturbances
+    # (Ljung, chapter 13). This gives the scale a relative error of the order of r, the power of the residuals
+    # divided by that of the predicted accelerations. In a hover, for example, the scale of travel is
+    # estimated at a quarter of its true value. From n independent residuals alone, the standard error would
+    # be sqrt(r / n). The noise is therefore multiplied by sqrt(1 + (c r)^2 n / r), with c = `_FEEDBACK`. 3.
+    # If only disturbances move an axis, a small scale explains its angles as well as any other scale, and
+    # makes its residuals small. If the scale is below 1, the residuals are therefore divided by it.
     noise, unknowns = np.full(3, _FIRST_rad_s2), weak_form.mean
     for _ in range(_NOISE_ROUNDS):
         fit = _fit_scales(weak_form, noise, (0, 1, 2), unknowns)
@@ -368,10 +361,7 @@ def wrong_scale(estimates: Sequence[ScaleEstimate]) -> ScaleEstimate | None:
 
 
 def finding_of(wrong: ScaleEstimate, explanations: Sequence[Explanation]) -> FlightFinding:
-    """Return the finding for an encoder that counts otherwise than the rig's model predicts.
-
-    It names the encoder only if none of the other `explanations` is as likely.
-    """
+    """Return the finding for an encoder that counts otherwise than the rig's model predicts."""
     best_nats = max([wrong.nats, *(other.nats for other in explanations)])
     # What is not significant by itself explains nothing, even if the scale is hardly significant either.
     others = [other for other in explanations if other.nats > max(best_nats - _LEAD_NATS, _MAX_NATS)]

@@ -131,11 +131,9 @@ def error_shares(
 ) -> ErrorShares:
     """Divide the error of the flights that `forecast` forecasts: the held-out flights, or the fitted ones if
     there are no others.
-
-    `fitted` reads the fitted flights, which only an unexplained error needs.
-
-    A HeliError is raised if no flight is long enough for forecasts.
     """
+    # `fitted` reads the fitted flights, which only an unexplained error needs.
+    # A HeliError is raised if no flight is long enough for forecasts.
     has_other_flight = result.has_other_flight
     extended = result.rig("extended", with_unconfirmed=True)
     remaining = forecast(extended)

@@ -119,11 +119,9 @@ def forecasts_of(
     label: str,
     span_s: tuple[float | None, float | None] = (None, None),
 ) -> Forecasts:
-    """Forecast a flight with the equations `model` and the parameters of `rig`.
-
-    The `disturbances` decide how much the filter believes a measurement. A TwinError is raised if the part
-    of the flight between the times `span_s` is too short.
-    """
+    """Forecast a flight with the equations `model` and the parameters of `rig`."""
+    # The `disturbances` decide how much the filter believes a measurement. A TwinError is raised if the part
+    # of the flight between the times `span_s` is too short.
     samples, sample_s = samples_of(flight)
     zero_s = float(samples.number[0]) * sample_s - float(flight.t_s[0])
     twin = TwinModel(model, rig, EXACT, changes=())
@@ -361,10 +359,8 @@ def _simulate(
 def _expected_rad2(
     twin: TwinModel, disturbances: DisturbanceModel, filtered: _FilteredFlight, count_rad: Floats
 ) -> Floats:
-    """Return the mean square error at `MAIN_HORIZON_s` that a right model would have, (3,) [rad2].
-
-    The covariance of the filter is propagated without measurements. Shapes: `count_rad` (3,).
-    """
+    """Return the mean square error at `MAIN_HORIZON_s` that a right model would have, (3,) [rad2]."""
+    # The covariance of the filter is propagated without measurements. Shapes: `count_rad` (3,).
     every = -(-len(filtered.starts) // _EXPECTED_STARTS)
     starts = filtered.starts[::every]
     ensemble = _Ensemble(twin, disturbances, filtered, starts)

@@ -84,11 +84,9 @@ class GlitchWatch(Generic[F]):
         return WithoutEncoder(kalman.copy(), ratio.copy())
 
     def begin_jump(self, kalman: F, before: WithoutEncoder[F] | None) -> None:
-        """Begin a jump if the measurement that `kalman` has just used is far from its prediction.
-
-        The copies `before` that measurement then become the second filter. They are None if no jump can
-        begin, because the filter has not settled, or too many measurements were left out.
-        """
+        """Begin a jump if the measurement that `kalman` has just used is far from its prediction."""
+        # The copies `before` that measurement then become the second filter. They are None if no jump can
+        # begin, because the filter has not settled, or too many measurements were left out.
         if self.alternative is not None:
             return
         size_rad = np.abs(kalman.differences_rad)
@@ -105,13 +103,11 @@ class GlitchWatch(Generic[F]):
         self._direction = math.copysign(1.0, kalman.differences_rad[axis])
 
     def decide_return(self) -> bool:
-        """Decide about the measurement that the second filter has just left out.
-
-        Returns True if the encoder has returned to the prediction of the second filter: its difference has
-        fallen by half the jump within two measurements. A slower fall is the drift of a prediction without
-        measurements: with it, a jump of 5 counts that stayed had seemed to return after 0.3 s. If the encoder
-        can no longer return, the second filter is discarded.
-        """
+        """Decide about the measurement that the second filter has just left out."""
+        # Returns True if the encoder has returned to the prediction of the second filter: its difference has
+        # fallen by half the jump within two measurements. A slower fall is the drift of a prediction without
+        # measurements: with it, a jump of 5 counts that stayed had seemed to return after 0.3 s. If the
+        # encoder can no longer return, the second filter is discarded.
         assert self.alternative is not None
         kalman = self.alternative.kalman
         assert kalman.left_out is not None
@@ -133,10 +129,8 @@ class GlitchWatch(Generic[F]):
         return False
 
     def end_jump(self, t_s: float, block_s: float) -> tuple[WithoutEncoder[F], str]:
-        """End a jump that returned at `t_s` [s]; return the second filter, and what happened.
-
-        Measurements are `block_s` [s] apart.
-        """
+        """End a jump that returned at `t_s` [s]; return the second filter, and what happened."""
+        # Measurements are `block_s` [s] apart.
         alternative = self.alternative
         assert alternative is not None and alternative.kalman.left_out is not None
         axis = alternative.kalman.left_out

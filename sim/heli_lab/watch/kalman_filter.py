@@ -55,10 +55,10 @@ axes show no friction."""
 
 
 class KalmanFilter:
-    """Extended Kalman filter of one free flight. `count_rad` has shape (3,). `state` has shape (n,). `mean`
-    has shape (order,). `state_sensitivity` has shape (order, columns, onsets). `differences_rad,
-    stds_rad` has shape (3,).
-    """
+    """Extended Kalman filter of one free flight."""
+
+    # `count_rad` has shape (3,). `state` has shape (n,). `mean` has shape (order,). `state_sensitivity` has
+    # shape (order, columns, onsets). `differences_rad, stds_rad` has shape (3,).
 
     def __init__(
         self,
@@ -201,8 +201,6 @@ class KalmanFilter:
     def _propagate_root(self, transition: Floats, by_volts: Floats, volts_V: Floats) -> None:
         """Propagate the root of the covariance by a QR decomposition (array algorithm). Shapes: `transition`
         (order, order), `by_volts` (n, 2), `volts_V` (2,).
-
-        Voltages that no nominal flight shows add process noise.
         """
         # P+ = F P F' + Q = M' M for the rows M = (F R, Q^1/2)'. The triangle of its QR decomposition is R+'.
         rows = np.vstack(((transition @ self._root).T, self._noise))
@@ -217,12 +215,11 @@ class KalmanFilter:
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
         """Propagate the sensitivities over the steps since the last call, s+ = F s + G w a. Shapes: `ages_s`
         (columns, onsets), `is_ramp` (columns,).
-
-        `predict` accumulates the transition F of z, and the derivative G of z by the free parameters. A unit
-        of each change adds the twin's `weights` w to these parameters. The amount a of a change is 0 before
-        its onset. After it, the amount of a step is 1, and the amount of a ramp is the time since the onset
-        at the middle of the block.
         """
+        # `predict` accumulates the transition F of z, and the derivative G of z by the free parameters. A
+        # unit of each change adds the twin's `weights` w to these parameters. The amount a of a change is 0
+        # before its onset. After it, the amount of a step is 1, and the amount of a ramp is the time since
+        # the onset at the middle of the block.
         ramp_s = np.maximum(ages_s - 0.5 * self._block_s, 0.0)
         amount = np.where(ages_s > 0.0, np.where(is_ramp[:, None], ramp_s, 1.0), 0.0)
         order, columns, onsets = self.state_sensitivity.shape
@@ -252,9 +249,8 @@ class KalmanFilter:
         amount: Floats,
         onset_rad: Floats,
     ) -> Innovation:
-        """Update with a measurement, one axis after the other, and return the normalised innovations.
-        Shapes: `measured_rad` (3,), `volts_V` (2,), `amount` (columns, onsets), `onset_rad` (scales,
-        onsets).
+        """Update with a measurement, one axis after the other, and return the normalised innovations. Shapes:
+        `measured_rad` (3,), `volts_V` (2,), `amount` (columns, onsets), `onset_rad` (scales, onsets).
         """
         angles, by_state, by_parameter = self.twin.measure(
             self.twin.at(t_s, self.state, volts_V, self.step_s)

@@ -86,11 +86,9 @@ Say = Callable[[str, float], None]
 def at_least_rounding(
     disturbances: DisturbanceModel, model: Model, rig: Rig, count_rad: Floats
 ) -> DisturbanceModel:
-    """Raise disturbances to the smallest ones that the encoders can show. Shapes: `count_rad` (3,).
-
-    A gust is not detectable if it moves an axis within `DETECTABLE_WITHIN_s` by less than the standard
-    deviation of the rounding, a count over the root of 12. Estimates below that bound are arbitrary.
-    """
+    """Raise disturbances to the smallest ones that the encoders can show. Shapes: `count_rad` (3,)."""
+    # A gust is not detectable if it moves an axis within `DETECTABLE_WITHIN_s` by less than the standard
+    # deviation of the rounding, a count over the root of 12. Estimates below that bound are arbitrary.
     model_without_effects = type(model)()
     names = model_without_effects.parameter_names
     torques = [names.index(f"torque_{axis}") for axis in AXES]
@@ -122,11 +120,9 @@ def has_few_disturbances(disturbances: DisturbanceModel) -> bool:
 def learn_rig(
     model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]
 ) -> tuple[DisturbanceModel, ParameterUncertainty]:
-    """Estimate disturbances and the uncertainty of parameters from nominal flights, named `labels`.
-
-    The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
-    tolerances of the rig file are the priors.
-    """
+    """Estimate disturbances and the uncertainty of parameters from nominal flights, named `labels`."""
+    # The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
+    # tolerances of the rig file are the priors.
     of_flights = estimate_with_fixed_rig(model, rig, _prepared(rig, healthy, labels))
     twin_model, records, references = of_flights.model, of_flights.records, of_flights.references
     disturbances = of_flights.disturbances
@@ -455,10 +451,7 @@ duration_s = 8
 
 
 def random_plan(seed: int, duration_s: float = 60.0) -> Plan:
-    """Draw a plan of about `duration_s` in the air: sines, waypoints and hover.
-
-    In half of the plans, a multisine excites the rotors during the sines.
-    """
+    """Draw a plan of about `duration_s` in the air: sines, waypoints and hover."""
     rng = np.random.default_rng(seed)
     travel_deg = round(float(rng.uniform(10, 40)), 1)
     excite = 'excite = { signal = "multisine", front_V = 0.2, back_V = 0.2, start_Hz = 0.1, stop_Hz = 3 }'
@@ -517,10 +510,7 @@ def _with_other_parameters(gusts: Effect, name: str, std_Nm: float, correlation_
 
 
 def fly_simulated(model: Model, rig: Rig, plans: Plan | Sequence[Plan], seed: int) -> Flight:
-    """Simulate a flight of plans with the flight code on the simulated board.
-
-    A random constant torque acts about each axis.
-    """
+    """Simulate a flight of plans with the flight code on the simulated board."""
     rng = np.random.default_rng(seed)
     rig_with_torques = rig.replace(
         **{name: rig[name].value + _TORQUE_SHARE * std * rng.normal() for name, std in TORQUE_STD_Nm.items()}

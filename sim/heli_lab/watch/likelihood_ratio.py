@@ -93,10 +93,8 @@ class _Estimates(NamedTuple):
 
 
 def _prior_precision(sizes: Sequence[tuple[float, ...]]) -> Floats:
-    """Return the prior precision of the first and the second parameter of each change, (2, changes).
-
-    Without a second parameter, any precision will do, because its sums stay zero.
-    """
+    """Return the prior precision of the first and the second parameter of each change, (2, changes)."""
+    # Without a second parameter, any precision will do, because its sums stay zero.
     two_sizes = [(*change_sizes, 1.0)[:2] for change_sizes in sizes]
     return np.array([[size**-2.0 for size in pair] for pair in two_sizes]).T
 
@@ -155,9 +153,8 @@ class LikelihoodRatio:
     def begin_onset(self, block: int, state_sensitivity: Floats) -> None:
         """Add the onset after `block` in place of the oldest recent one. Shapes: `state_sensitivity` (order,
         columns, onsets).
-
-        Every half second the most likely recent onset of each change replaces the oldest one of the window.
         """
+        # Every half second the most likely recent onset of each change replaces the oldest one of the window.
         # The recent onsets are a ring of the places 0 to RECENT - 1, the kept ones a ring of those after it.
         place = block % RECENT
         if place == 0 and np.isfinite(self._onset[:, :RECENT]).all():
@@ -183,11 +180,9 @@ class LikelihoodRatio:
         return float(self.update_draws(innovation.value, innovation.sensitivity))
 
     def update_cut(self, innovation: Innovation, outlier: float) -> float:
-        """Add an innovation to two draws: cut off at `outlier` standard deviations, and uncut.
-
-        Returns the evidence of the most likely change of the cut draw [nats]. A jump of an encoder is itself
-        an outlier, so its evidence is that of the uncut draw.
-        """
+        """Add an innovation to two draws: cut off at `outlier` standard deviations, and uncut."""
+        # Returns the evidence of the most likely change of the cut draw [nats]. A jump of an encoder is
+        # itself an outlier, so its evidence is that of the uncut draw.
         values = np.stack((np.clip(innovation.value, -outlier, outlier), innovation.value))
         self.update_draws(values, innovation.sensitivity)
         cut_evidence, uncut_evidence = self._first_evidence, self._last_evidence
@@ -217,10 +212,10 @@ class LikelihoodRatio:
         self._b2 += np.where(self._has_second, np.einsum("aho,...a->...ho", second, value), 0.0)
 
     def _evidence_of_onsets(self, estimates: _Estimates) -> Floats:
-        """Return the evidence [nats] of each change at each onset, (changes, onsets) or with draws in front.
-
-        Unused onsets and jumps of an encoder below the smallest reported one have the evidence -inf.
+        """Return the evidence [nats] of each change at each onset, (changes, onsets) or with draws in
+        front.
         """
+        # Unused onsets and jumps of an encoder below the smallest reported one have the evidence -inf.
         # Log of the Bayes factor with normal priors: 1/2 b' (S + 1/P)^-1 b - 1/2 log det(1 + P S).
         evidence = 0.5 * estimates.quadratic_form - 0.5 * np.log(estimates.determinant)
         # A half-normal prior has twice the density of a normal one, above zero only. The evidence therefore
@@ -232,11 +227,9 @@ class LikelihoodRatio:
         return np.where(is_candidate, evidence, -np.inf)
 
     def _estimates(self, precision: Floats) -> _Estimates:
-        """Solve the normal equations (S + 1/P) v = b of each change at each onset, by Cramer's rule.
-
-        The `precision` 1/P has shape (2, changes). Without a second parameter, its sums are zero and its
-        solution is zero.
-        """
+        """Solve the normal equations (S + 1/P) v = b of each change at each onset, by Cramer's rule."""
+        # The `precision` 1/P has shape (2, changes). Without a second parameter, its sums are zero and its
+        # solution is zero.
         precision1, precision2 = precision[0][:, None], precision[1][:, None]
         a11, a12, a22 = self._s11 + precision1, self._s12, self._s22 + precision2
         determinant = a11 * a22 - a12**2
@@ -261,12 +254,10 @@ class LikelihoodRatio:
         return float(self._estimates(self._precision).std[row, nearest])
 
     def ranking(self, *, from_start: bool = False) -> list[ChangeCandidate]:
-        """Return all changes, the most likely first.
-
-        The evidence of a change is the mean of its likelihood ratios over the onsets, which have the same
-        prior probability. Size and onset are those of the most likely onset. The last draw counts. The priors
-        are those of changes in flight, or of differences with which a flight begins (`from_start`).
-        """
+        """Return all changes, the most likely first."""
+        # The evidence of a change is the mean of its likelihood ratios over the onsets, which have the same
+        # prior probability. Size and onset are those of the most likely onset. The last draw counts. The
+        # priors are those of changes in flight, or of differences with which a flight begins (`from_start`).
         estimates = self._estimates(self._precision_from_start if from_start else self._precision)
         size = estimates.size.reshape(-1, *self._onset.shape)[-1]
         evidence = self._evidence_of_onsets(estimates).reshape(-1, *self._onset.shape)[-1]
@@ -298,10 +289,7 @@ class Evidence(Protocol):
 
 
 class PersistentEvidence:
-    """Evidence that persists, and does not come from single outliers.
-
-    It is the smallest evidence of the latest `PERSISTENCE_BLOCKS` measurements; -inf before so many.
-    """
+    """Evidence that persists, and does not come from single outliers."""
 
     def __init__(self, ratio: LikelihoodRatio) -> None:
         self.ratio = ratio

@@ -44,10 +44,8 @@ STATED: Final = PieceVariance(np.ones(3), _MANY_PIECES)
 
 
 def piece_variance(innovations: Floats) -> PieceVariance:
-    """Compute the variance of sums over pieces of successive innovations, (n, 3); nan without a piece.
-
-    Innovations are cut off as for the alarm, so that a single kick does not decide.
-    """
+    """Compute the variance of sums over pieces of successive innovations, (n, 3); nan without a piece."""
+    # Innovations are cut off as for the alarm, so that a single kick does not decide.
     pieces = len(innovations) // PIECE
     if not pieces:
         return PieceVariance(np.full(3, np.nan), 0)

@@ -116,11 +116,9 @@ def monitor_file(
     stop_s: float | None = None,
     loop_Hz: float | None = None,
 ) -> TwinReport:
-    """Compare the flight in the file at `path` with the twin of a rig.
-
-    `loop_Hz` is the rate of the control loop of a table, None if it is unknown. The other arguments and
-    errors are those of `monitor_flight`. A file that holds no flight raises a HeliError.
-    """
+    """Compare the flight in the file at `path` with the twin of a rig."""
+    # `loop_Hz` is the rate of the control loop of a table, None if it is unknown. The other arguments and
+    # errors are those of `monitor_flight`. A file that holds no flight raises a HeliError.
     if path.suffix.lower() != ".mcap":
         flight = read_flight(path, allow_gaps=True)
         flown_rig = str(flight.meta.get("rig") or "")
@@ -240,11 +238,9 @@ class TickTwin:
 
 
 def open_twin(name: str) -> Callable[[Mapping[str, float], float], TickTwin]:
-    """Read a rig, and return a function that makes its twin.
-
-    The function takes the board's parameters and the mean time between two false alarms [h]. It raises a
-    TwinError if the parameters do not give the counts of the encoders.
-    """
+    """Read a rig, and return a function that makes its twin."""
+    # The function takes the board's parameters and the mean time between two false alarms [h]. It raises a
+    # TwinError if the parameters do not give the counts of the encoders.
     return partial(_make_twin, open_rig(name))
 
 

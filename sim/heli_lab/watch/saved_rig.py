@@ -160,10 +160,7 @@ def compare_rigs(
     judged: Sequence[JudgedFlight],
     fitted: Iterable[Record],
 ) -> RigComparison:
-    """Compare the forecasts of equations and rig before and after an identification from `fitted` flights.
-
-    A HeliError is raised if no flight is long enough.
-    """
+    """Compare the forecasts of equations and rig before and after an identification from `fitted` flights."""
     of_rig = forecast_flights(*after, judged)
     errors = at_horizon(of_rig, forecast_flights(*before, judged))
     assert errors.reduction is not None
@@ -223,10 +220,9 @@ def _count_deg(judged: Sequence[JudgedFlight], rig: Rig) -> Floats:
 
 
 class Forecaster:
-    """Forecasts of the `judged` flights with a rig; each rig is computed once.
+    """Forecasts of the `judged` flights with a rig; each rig is computed once."""
 
-    `model_of` makes the equations of a rig with its effects. `rig` states the encoders.
-    """
+    # `model_of` makes the equations of a rig with its effects. `rig` states the encoders.
 
     def __init__(self, judged: Sequence[JudgedFlight], model_of: Callable[[Rig], Model], rig: Rig) -> None:
         self.judged, self.model_of = judged, model_of

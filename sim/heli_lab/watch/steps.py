@@ -107,10 +107,9 @@ class Stepper:
             yield from self._update_contiguous(samples, slice(start, stop))
 
     def _update_contiguous(self, samples: Samples, rows: slice) -> Iterator[Step]:
-        """Process `rows` of samples with successive numbers, and yield the steps that they complete.
-
-        A short gap before them is filled. After a long one, or a restart of the clock, the steps begin again.
-        """
+        """Process `rows` of samples with successive numbers, and yield the steps that they complete."""
+        # A short gap before them is filled. After a long one, or a restart of the clock, the steps begin
+        # again.
         number = int(samples.number[rows.start])
         missing = number - self._next
         if not len(self._newest) or missing < 0 or missing > self._max_gap:
@@ -351,10 +350,9 @@ _ROTORS: Final = ("front", "back")
 
 
 class VoltageRange:
-    """Compares the voltages of a flight with those of the nominal flights.
+    """Compares the voltages of a flight with those of the nominal flights."""
 
-    Voltages that are outside of their range by less than `_EXTRAPOLATED_SHARE` of its width count as known.
-    """
+    # Voltages that are outside of their range by less than `_EXTRAPOLATED_SHARE` of its width count as known.
 
     def __init__(self, uncertainty: ParameterUncertainty, step_s: float) -> None:
         self._uncertainty = uncertainty
@@ -370,11 +368,9 @@ class VoltageRange:
         self._last_unknown_step: int | None = None
 
     def update(self, index: int, volts_V: Floats) -> str:
-        """Take the acting voltages `volts_V` [V], (2,), of the step `index`.
-
-        Returns the reason why the twin does not judge them if these voltages are the first outside the range;
-        otherwise the empty string.
-        """
+        """Take the acting voltages `volts_V` [V], (2,), of the step `index`."""
+        # Returns the reason why the twin does not judge them if these voltages are the first outside the
+        # range; otherwise the empty string.
         outside_V = self._extrapolated.outside_V(volts_V)
         if not np.any(outside_V > 0.0):
             return ""

@@ -291,10 +291,8 @@ class Twin:
         self._comparison = self._new_comparison(index, state, is_changed=False)
 
     def _new_comparison(self, index: int, state: Floats, *, is_changed: bool) -> _Comparison:
-        """Return a comparison that begins with a state at the step `index`.
-
-        After an alarm (`is_changed`), each possible change is an unknown constant of the flight.
-        """
+        """Return a comparison that begins with a state at the step `index`."""
+        # After an alarm (`is_changed`), each possible change is an unknown constant of the flight.
         kalman = KalmanFilter(
             self.model,
             self.calibration.disturbances,
@@ -340,11 +338,9 @@ class Twin:
         comparison.begin_onset()
 
     def _raise_alarm(self, comparison: _Comparison, t_s: float) -> Iterator[TwinEvent]:
-        """Raise an alarm if the evidence is above the threshold.
-
-        At the beginning of a flight, the model itself may be wrong. An alarm in that time is reported only
-        with its final ranking.
-        """
+        """Raise an alarm if the evidence is above the threshold."""
+        # At the beginning of a flight, the model itself may be wrong. An alarm in that time is reported only
+        # with its final ranking.
         is_early = not comparison.is_changed and comparison.age_s <= CALIBRATION_s
         if is_early:
             yield from self._check_model_once(comparison, t_s)
@@ -398,10 +394,8 @@ class Twin:
         yield TwinEvent("waits", t_s, f"the comparison stops: {reason}")
 
     def _final_ranking(self, comparison: _Comparison, t_s: float) -> Iterator[TwinEvent]:
-        """Yield the final ranking of an alarm that has none yet.
-
-        If an early alarm is not a wrong encoder scale, the flight contradicts the model instead.
-        """
+        """Yield the final ranking of an alarm that has none yet."""
+        # If an early alarm is not a wrong encoder scale, the flight contradicts the model instead.
         alarm = comparison.alarm
         if alarm is None or alarm.is_diagnosed:
             return
@@ -443,11 +437,10 @@ class _Alarm:
 
 
 class _Comparison:
-    """A filter from one start to the next, with the evidence of changes in its innovations.
+    """A filter from one start to the next, with the evidence of changes in its innovations."""
 
-    While an encoder may return from a jump, a second filter with its own likelihood ratio runs without that
-    encoder. After an alarm, a new comparison begins.
-    """
+    # While an encoder may return from a jump, a second filter with its own likelihood ratio runs without that
+    # encoder. After an alarm, a new comparison begins.
 
     def __init__(
         self,
@@ -518,11 +511,9 @@ class _Comparison:
             yield TwinEvent("glitch", t_s, text)
 
     def begin_onset(self) -> None:
-        """Add the end of the present block to the onsets.
-
-        A sudden change raises the alarm before its true onset is in the window. Onsets are therefore added
-        for half a second after an alarm. Then the window stays fixed until the final ranking.
-        """
+        """Add the end of the present block to the onsets."""
+        # A sudden change raises the alarm before its true onset is in the window. Onsets are therefore added
+        # for half a second after an alarm. Then the window stays fixed until the final ranking.
         adds_onsets = self.alarm is None or self.block - self.alarm.block < RECENT
         if adds_onsets and self.age_s >= FILTER_SETTLING_s:
             for filter_, ratio in self.filters():
@@ -531,11 +522,9 @@ class _Comparison:
     def _update_filter(
         self, kalman: KalmanFilter, ratio: LikelihoodRatio, step: Step, inputs: InputHistory, is_judged: bool
     ) -> Innovation | None:
-        """Update a filter with a measurement; return its innovation, None without a measurement.
-
-        The innovation and its sensitivity are zero after voltages that the nominal flights do not contain, so
-        that the evidence stays.
-        """
+        """Update a filter with a measurement; return its innovation, None without a measurement."""
+        # The innovation and its sensitivity are zero after voltages that the nominal flights do not contain,
+        # so that the evidence stays.
         ages_s = ratio.ages(self.block) * self._block_s
         kalman.propagate_sensitivity(ages_s, ratio.is_ramp)
         if step.measured_rad is None:
@@ -605,10 +594,9 @@ class _AngleHistory:
 
 
 class _Ghost:
-    """Overlapping open-loop simulations, called runs.
+    """Overlapping open-loop simulations, called runs."""
 
-    A run starts from the filter's state every 0.2 s. The oldest run, of `_FREE_RUN_s`, is shown.
-    """
+    # A run starts from the filter's state every 0.2 s. The oldest run, of `_FREE_RUN_s`, is shown.
 
     def __init__(self, twin: TwinModel, step_s: float) -> None:
         self._twin, self._step_s = twin, step_s

@@ -129,11 +129,11 @@ def all_changes() -> tuple[Change, ...]:
 
 
 def extended(model: Model, changes: Sequence[Change] | None = None) -> Model:
-    """Add the effects of possible changes to a model, of all by default, at values at which they do nothing.
-
-    The derivatives by their parameters are then derivatives by the changes. The effects act from 0 s on. The
-    filter itself sets the derivatives to zero before an onset.
+    """Add the effects of possible changes to a model, of all by default, at values at which they do
+    nothing.
     """
+    # The derivatives by their parameters are then derivatives by the changes. The effects act from 0 s on.
+    # The filter itself sets the derivatives to zero before an onset.
     specs = catalogue()
     present_names = {effect.name for effect in model.effects}
     effects: dict[str, Effect] = {}
@@ -211,11 +211,11 @@ _RATE_STEPS: Final = 10
 
 
 class TwinModel:
-    """Equations of a rig with their derivatives by the state and by possible changes. `parameters` has shape
-    (p,). `directions` has shape (free parameters + 1, errors). `weights` has shape (free parameters + 1,
-    columns). `prior_sizes` has shape (columns,). `prior_changes` has shape (free parameters + 1,
-    columns).
-    """
+    """Equations of a rig with their derivatives by the state and by possible changes."""
+
+    # `parameters` has shape (p,). `directions` has shape (free parameters + 1, errors). `weights` has shape
+    # (free parameters + 1, columns). `prior_sizes` has shape (columns,). `prior_changes` has shape (free
+    # parameters + 1, columns).
 
     def __init__(
         self,
@@ -279,9 +279,8 @@ class TwinModel:
     def _change_weights(self, change_parameters: Sequence[str]) -> Floats:
         """Return the amount of each free parameter and, in the last row, of the supply, per unit of each
         parameter of the changes, (free + 1, columns).
-
-        The columns of encoder scales are zero, because they change no parameter of the model.
         """
+        # The columns of encoder scales are zero, because they change no parameter of the model.
         free = self.functions.free
         weights = np.zeros((len(free) + 1, len(change_parameters)))
         for column, joined_names in enumerate(change_parameters):

@@ -73,10 +73,9 @@ class Part:
 def _low_passed(values: Floats, decay: float) -> Floats:
     """Pass the columns of `values` through a first-order low-pass filter that is settled at the first row.
     Returns shape (n, k).
-
-    The filter is computed in blocks of rows, as a product of matrices for each block. SciPy has such a
-    filter, but importing SciPy takes as long as filtering half a minute of flight.
     """
+    # The filter is computed in blocks of rows, as a product of matrices for each block. SciPy has such a
+    # filter, but importing SciPy takes as long as filtering half a minute of flight.
     rows, columns = values.shape
     blocks = -(-rows // _BLOCK)
     padded = np.zeros((blocks * _BLOCK, columns))
@@ -132,12 +131,11 @@ def _smoothed_rates(values: Floats, step_s: float) -> Floats:
 
 
 class TestFunctions:
-    """Test functions of the weak form, at even distances over a part of a flight.
+    """Test functions of the weak form, at even distances over a part of a flight."""
 
-    A test function is w(t) = c (1 - x^2)^4 for |x| < 1, with integral 1; each axis has its own width. After
-    integration by parts, the mean of an acceleration weighted by w is the mean of the angle weighted by the
-    second derivative of w.
-    """
+    # A test function is w(t) = c (1 - x^2)^4 for |x| < 1, with integral 1; each axis has its own width. After
+    # integration by parts, the mean of an acceleration weighted by w is the mean of the angle weighted by the
+    # second derivative of w.
 
     __test__ = False
 
@@ -222,12 +220,11 @@ class _ActingVoltages(NamedTuple):
 
 
 class FlightInWeakForm:
-    """Residuals of a rig's equations of motion along a flight, in weak form.
+    """Residuals of a rig's equations of motion along a flight, in weak form."""
 
-    The first unknowns are the logarithms of three scales and of a factor on the voltages, the lag of the
-    thrust, and the zeros of the elevation and the pitch encoder. Parameters of the rig and of effects follow,
-    and a constant torque about each axis.
-    """
+    # The first unknowns are the logarithms of three scales and of a factor on the voltages, the lag of the
+    # thrust, and the zeros of the elevation and the pitch encoder. Parameters of the rig and of effects
+    # follow, and a constant torque about each axis.
 
     def __init__(self, flight: Flight, rig: Rig, model: Model) -> None:
         self._rig = rig
@@ -358,11 +355,9 @@ def _without_random_and_lagged_effects(model: Model) -> Model:
 
 
 def _rows_with_live_encoders(flight: Flight) -> Booleans:
-    """Return the rows before an encoder stopped counting, for which the board has ended the flight; (n,).
-
-    The board needs seconds to notice a plug that fell off. Until then, the other axes respond to an angle
-    that nobody measures.
-    """
+    """Return the rows before an encoder stopped counting, for which the board has ended the flight; (n,)."""
+    # The board needs seconds to notice a plug that fell off. Until then, the other axes respond to an angle
+    # that nobody measures.
     rows = np.ones(len(flight), bool)
     for event in flight.events:
         dead = _DEAD_ENCODER.search(event.text) if event.name == "fault" else None

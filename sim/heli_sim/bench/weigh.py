@@ -40,10 +40,9 @@ class ThrustCurve:
     thrust_N: Floats
 
     def line(self) -> Line:
-        """Fit the straight line to the readings above zero. The intervals come from the scatter of the
-        readings, or from the step of the scale if that is larger. A RigError when there are fewer than three
-        readings.
-        """
+        """Fit the straight line to the readings above zero."""
+        # The intervals come from the scatter of the readings, or from the step of the scale if that is
+        # larger. A RigError when there are fewer than three readings.
         is_above_zero = self.thrust_N > 0.0
         volts_V, thrust_N = self.volts_V[is_above_zero], self.thrust_N[is_above_zero]
         if volts_V.size < 3:
@@ -267,11 +266,9 @@ class _BenchModel:
 def _with_masses(
     rig: Rig, balance: Balance | None, swings: Sequence[Swing]
 ) -> tuple[Rig, list[str], list[Tested]]:
-    """Estimate masses and lengths of a rig from balance and swings by least squares.
-
-    The tolerances of the rig are priors. Returns the rig, the names of the parameters that the tests
-    determine, and each reading with its predictions.
-    """
+    """Estimate masses and lengths of a rig from balance and swings by least squares."""
+    # The tolerances of the rig are priors. Returns the rig, the names of the parameters that the tests
+    # determine, and each reading with its predictions.
     from scipy.optimize import least_squares
 
     bench_model = _BenchModel(rig)

@@ -59,10 +59,9 @@ def read_firmware(path: Path | str) -> Image:
 
 
 def check_firmware(path: Path) -> Image:
-    """Read an ELF at `path` and ask it on a separate emulated board for its version of the link. A
-    FirmwareError, which states both versions, when it is not a program for the Due, does not answer, or has
-    another version.
-    """
+    """Read an ELF at `path` and ask it on a separate emulated board for its version of the link."""
+    # A FirmwareError, which states both versions, when it is not a program for the Due, does not answer, or
+    # has another version.
     from due_emulator import Stop
 
     from heli_sim import _native

@@ -104,11 +104,9 @@ def compiler() -> str | None:
 
 
 def compile_function(function: ca.Function) -> Path | None:
-    """Compile a `function` to a shared library, whose symbol has the name of the function.
-
-    Returns the library of an earlier call if there is one, and None without a C compiler. A PlantError is
-    raised if compilation fails.
-    """
+    """Compile a `function` to a shared library, whose symbol has the name of the function."""
+    # Returns the library of an earlier call if there is one, and None without a C compiler. A PlantError is
+    # raised if compilation fails.
     return compile_source(function.name(), c_source(function))
 
 
@@ -121,11 +119,9 @@ def c_source(function: ca.Function) -> str:
 
 
 def compile_source(name: str, source: str) -> Path | None:
-    """Compile the text of a C file, `source`, to a shared library `name` in the cache.
-
-    Returns the library of an earlier call if there is one, and None without a C compiler. A PlantError is
-    raised if compilation fails, or if other users can write to the cache.
-    """
+    """Compile the text of a C file, `source`, to a shared library `name` in the cache."""
+    # Returns the library of an earlier call if there is one, and None without a C compiler. A PlantError is
+    # raised if compilation fails, or if other users can write to the cache.
     key = hashlib.sha256("\n".join([source, *FLAGS, platform.machine(), platform.system()]).encode())
     folder = cache_folder()
     library = folder / f"{name}-{key.hexdigest()[:24]}.so"

@@ -57,11 +57,10 @@ class Trajectory:
 
 
 class _ExpressionList:
-    """A CasADi function as a list of elementary operations, from which equal subexpressions are removed.
+    """A CasADi function as a list of elementary operations, from which equal subexpressions are removed."""
 
-    The value of operation k depends on the values of earlier operations only, so that one pass over the list
-    evaluates the function.
-    """
+    # The value of operation k depends on the values of earlier operations only, so that one pass over the
+    # list evaluates the function.
 
     def __init__(self, function: ca.Function) -> None:
         self._input_sizes = [function.numel_in(i) for i in range(function.n_in())]

@@ -219,10 +219,7 @@ class Model(ABC):
     def _torque_operands_and_state_rates(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None, locked: ca.SX | None
     ) -> tuple[Operands, list[ca.SX]]:
-        """Return the operands of the torques, and the rates of the states that the effects add.
-
-        Effects change the parameters first, then the voltages, then the thrusts.
-        """
+        """Return the operands of the torques, and the rates of the states that the effects add."""
         at = self._with_modified_parameters(self.operands(x, u, p, time_s, locked))
         for effect in self.effects:
             at = replace(at, volts_V=effect.voltage_V(at, at.volts_V))
@@ -239,10 +236,8 @@ class Model(ABC):
         return replace(at, thrust_N=thrust), rates
 
     def _with_friction(self, at: Operands, thrust: ca.SX, acceleration: ca.SX) -> ca.SX:
-        """Add the effect of dry friction, whose torque depends on the acceleration without it.
-
-        In each model, the acceleration is linear in the torque; the factor is the mobility, shape (3, 3).
-        """
+        """Add the effect of dry friction, whose torque depends on the acceleration without it."""
+        # In each model, the acceleration is linear in the torque; the factor is the mobility, shape (3, 3).
         frictional = [effect for effect in self.effects if effect.has_friction]
         if not frictional:
             return acceleration

@@ -28,22 +28,18 @@ _STEP_WIDTH_s: Final = 0.01
 
 
 def thrust_N(volts_V: ca.SX, gain_N_per_V: ca.SX, dead_zone_V: ca.SX, reverse: ca.SX | float = 0.0) -> ca.SX:
-    """Return the thrust of rotors at given voltages: F = k (V - V_0) above V_0, otherwise 0 (equation 31).
-
-    The paper measured only positive voltages. A rotor that can be driven backwards gives, beyond the dead
-    zone, a share of this thrust in the opposite direction.
-    """
+    """Return the thrust of rotors at given voltages: F = k (V - V_0) above V_0, otherwise 0 (equation 31)."""
+    # The paper measured only positive voltages. A rotor that can be driven backwards gives, beyond the dead
+    # zone, a share of this thrust in the opposite direction.
     forward_V = ca.fmax(volts_V - dead_zone_V, 0.0)
     backward_V = ca.fmax(-volts_V - dead_zone_V, 0.0)
     return gain_N_per_V * (forward_V - reverse * backward_V)
 
 
 def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the viscous friction of the three bearings, R = -f rate, shape (3, 1): equations 12, 17, 21.
-
-    `rates_rad_s` holds the rates of elevation, pitch and travel, shape (3, 1). The coefficients in
-    `parameter` are friction_elevation, friction_pitch and friction_travel in N m s/rad.
-    """
+    """Return the viscous friction of the three bearings, R = -f rate, shape (3, 1): equations 12, 17, 21."""
+    # `rates_rad_s` holds the rates of elevation, pitch and travel, shape (3, 1). The coefficients in
+    # `parameter` are friction_elevation, friction_pitch and friction_travel in N m s/rad.
     coefficients = ca.vertcat(
         parameter["friction_elevation"], parameter["friction_pitch"], parameter["friction_travel"]
     )
@@ -51,12 +47,10 @@ def friction_torque_Nm(rates_rad_s: ca.SX, parameter: Mapping[str, ca.SX]) -> ca
 
 
 def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the speed of the front and the back rotor along the thrust axis, shape (2, 1).
-
-    The speed is positive if the rotor climbs. It depends on the angles and rates in `state`, and on L_a, L_h
-    and L_theta in `parameter` [m]. It follows from virtual work: thrust times climb is the power that the
-    thrust gives to the axes.
-    """
+    """Return the speed of the front and the back rotor along the thrust axis, shape (2, 1)."""
+    # The speed is positive if the rotor climbs. It depends on the angles and rates in `state`, and on L_a,
+    # L_h and L_theta in `parameter` [m]. It follows from virtual work: thrust times climb is the power that
+    # the thrust gives to the axes.
     cos_elevation, sin_elevation = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     cos_pitch, sin_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
     travel_rad_s = state["travel_rate_rad_s"]
@@ -69,10 +63,7 @@ def rotor_climb_m_s(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) 
 
 
 def rotor_height_m(state: Mapping[str, ca.SX], parameter: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the height of the front and the back rotor above the elevation axis, shape (2, 1).
-
-    It depends on the angles in `state`, and on L_a, L_h and L_theta in `parameter` [m].
-    """
+    """Return the height of the front and the back rotor above the elevation axis, shape (2, 1)."""
     # Cosine and sine of the elevation.
     c, s = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     mean_m = parameter["L_a"] * s - parameter["L_theta"] * c
@@ -89,10 +80,8 @@ def upright_torque_Nm(state: Mapping[str, ca.SX], torque_Nm: ca.SX) -> ca.SX:
 
 
 def smooth_step(time_s: ca.SX, moment_s: ca.SX) -> ca.SX:
-    """Return 0 before and 1 after `moment_s` as a function of `time_s` [s], smoothed over about 20 ms.
-
-    The smoothing gives the step a derivative by the moment, which a fit needs.
-    """
+    """Return 0 before and 1 after `moment_s` as a function of `time_s` [s], smoothed over about 20 ms."""
+    # The smoothing gives the step a derivative by the moment, which a fit needs.
     return 0.5 * (1 + ca.tanh((time_s - moment_s) / _STEP_WIDTH_s))
 
 

@@ -67,13 +67,11 @@ def symbol(name: str) -> str:
 
 
 def equations(model: Model) -> list[Equation]:
-    """Return a model's equations of motion, each symbol defined before its first use.
-
-    F_f and F_b are the thrusts, f viscous frictions, and D constant torques. A multibody model is written
-    with its mass matrix M, potential energy U and generalised forces Q; the first equation shows how Coriolis
-    and centrifugal forces follow from M. Dry friction is written with the acceleration that the axis would
-    have without it, which has the index 0, and with the inertia J of the axis.
-    """
+    """Return a model's equations of motion, each symbol defined before its first use."""
+    # F_f and F_b are the thrusts, f viscous frictions, and D constant torques. A multibody model is written
+    # with its mass matrix M, potential energy U and generalised forces Q; the first equation shows how
+    # Coriolis and centrifugal forces follow from M. Dry friction is written with the acceleration that the
+    # axis would have without it, which has the index 0, and with the inertia J of the axis.
     at = _symbolic_operands(model)
     F = ca.vertcat(ca.SX.sym("F_{f}"), ca.SX.sym("F_{b}"))
     result = _thrust_equation(at)

@@ -51,10 +51,8 @@ class Derivatives:
 
 @functools.lru_cache(maxsize=32)
 def derivative_function(model: Model) -> ca.Function:
-    """Return ``derivatives(x, u, p) -> (f, A, B, P, C, D)`` of a model, named as in `Derivatives`.
-
-    The Jacobians come from symbolic differentiation and are exact. The functions of 32 models are kept.
-    """
+    """Return ``derivatives(x, u, p) -> (f, A, B, P, C, D)`` of a model, named as in `Derivatives`."""
+    # The Jacobians come from symbolic differentiation and are exact. The functions of 32 models are kept.
     x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
     p = ca.SX.sym("p", len(model.parameters))
     f, h = model.dynamics(x, u, p), model.measurement(x, u, p)
@@ -72,10 +70,7 @@ def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.Array
 
 
 def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
-    """Find the voltages and the pitch that hold an elevation, with all rates zero and travel at 0.
-
-    The equilibrium is computed by Newton's method with exact Jacobians.
-    """
+    """Find the voltages and the pitch that hold an elevation, with all rates zero and travel at 0."""
     count = len(model.states)
     # Unknown are pitch, the states of effects, and both voltages. Travel and the three rates are zero.
     unknown_states = [1, *range(6, count)]
@@ -107,12 +102,10 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
 
 
 def linearise(model: Model, rig: Rig, at: Trim | None = None) -> control.StateSpace:
-    """Linearise a model about a trim, by default a level hover, with exact derivatives.
-
-    The signals of the result are deviations from the trim and have names: the states of the model, the inputs
-    front_V and back_V, and as outputs the three angles that the encoders see. A PlantError is raised if the
-    rig cannot hover.
-    """
+    """Linearise a model about a trim, by default a level hover, with exact derivatives."""
+    # The signals of the result are deviations from the trim and have names: the states of the model, the
+    # inputs front_V and back_V, and as outputs the three angles that the encoders see. A PlantError is raised
+    # if the rig cannot hover.
     import control
 
     at = at if at is not None else trim(model, rig)

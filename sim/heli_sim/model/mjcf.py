@@ -33,10 +33,9 @@ def left_out(rig: Rig) -> list[str]:
 
 
 def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
-    """Write a rig as MJCF.
-
-    Controls are the front and the back voltage [V]; sensors and joints are elevation, pitch and travel [rad].
-    """
+    """Write a rig as MJCF."""
+    # Controls are the front and the back voltage [V]; sensors and joints are elevation, pitch and travel
+    # [rad].
     v = {name: rig[name].value for name in rig}
     arm_z, body_z = -v["L_theta"], -v["L_phi"]
 

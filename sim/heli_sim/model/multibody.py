@@ -129,11 +129,9 @@ class MultibodyModel(Model):
         return p["g"] * (moment_along_kg_m * ca.sin(q[0]) + moment_up_kg_m * ca.cos(q[0]))
 
     def _thrust_Nm(self, at: Operands, q: ca.SX, thrust_N: ca.SX) -> ca.SX:
-        """Return the generalised forces Q of the thrusts at the angles `q`, from their virtual work.
-
-        If the arm is raised, a difference of the thrusts also turns travel, with the lever
-        L_h sin(elevation).
-        """
+        """Return the generalised forces Q of the thrusts at the angles `q`, from their virtual work."""
+        # If the arm is raised, a difference of the thrusts also turns travel, with the lever L_h
+        # sin(elevation).
         p = at.parameter
         c, s = ca.cos(q[0]), ca.sin(q[0])
         total_N, difference_N = thrust_N[0] + thrust_N[1], thrust_N[0] - thrust_N[1]
@@ -174,10 +172,10 @@ class MultibodyModel(Model):
 
 @cache
 def _mechanics(kind: type[MultibodyModel]) -> ca.Function:
-    """Return the accelerations as a function of angles, rates, thrusts, torques, locks and `rig_parameters`.
-
-    Differentiation takes most of the time, so the function of a class is built once; no effect changes it.
+    """Return the accelerations as a function of angles, rates, thrusts, torques, locks and
+    `rig_parameters`.
     """
+    # Differentiation takes most of the time, so the function of a class is built once; no effect changes it.
     model = kind()
     q, rates, thrust_N = ca.SX.sym("q", 3), ca.SX.sym("rates", 3), ca.SX.sym("thrust", 2)
     torque_Nm, locked = ca.SX.sym("torque", 3), ca.SX.sym("locked", 3)
@@ -209,10 +207,8 @@ def _with_locks(matrix: ca.SX, right_side: ca.SX, locked: ca.SX) -> tuple[ca.SX,
 
 
 def _solve_ldl(matrix: ca.SX, right_side: ca.SX) -> ca.SX:
-    """Solve for a symmetric positive definite 3 x 3 matrix by L D L': a third of a general solver's work.
-
-    Pitch is eliminated first, because its inertia, and so its reciprocal, is constant in flight.
-    """
+    """Solve for a symmetric positive definite 3 x 3 matrix by L D L': a third of a general solver's work."""
+    # Pitch is eliminated first, because its inertia, and so its reciprocal, is constant in flight.
     first, middle, last = 1, 0, 2
     inverse_first = 1 / matrix[first, first]
     factor_middle, factor_last = matrix[middle, first] * inverse_first, matrix[last, first] * inverse_first

@@ -85,9 +85,9 @@ class PaperModel(Model):
 
     def _drag_Nm(self, at: Operands) -> ca.SX:
         """Return the torque of the air on the arm about travel: quadratic drag at the speed of the rotors,
-        L_a times the rate, with the lever L_a again. A pitched body has a larger area in the direction of
-        travel.
+        L_a times the rate, with the lever L_a again.
         """
+        # A pitched body has a larger area in the direction of travel.
         p = at.parameter
         rate = at.state["travel_rate_rad_s"]
         area = p["drag_area_arm"] + p["drag_area_body"] * ca.fabs(ca.sin(at.state["pitch_rad"]))

@@ -71,12 +71,10 @@ def extras(model: Model, delay_s: float = 0.0) -> Extras:
 
 
 def step_function(model: Model, delay_s: float = 0.0) -> ca.Function:
-    """Build the function of one millisecond: a fourth-order Runge-Kutta step, then table, stops and locks.
-
-    A stop is inelastic: the angle stays at it and the rate outwards becomes 0. The table is the lower stop of
-    the elevation; while the arm rests on it, pitch and travel rates die out with table_damping. A locked axis
-    (as in a bench test) keeps its angle with rate 0, and its lock gives the reaction that this takes.
-    """
+    """Build the function of one millisecond: a fourth-order Runge-Kutta step, then table, stops and locks."""
+    # A stop is inelastic: the angle stays at it and the rate outwards becomes 0. The table is the lower stop
+    # of the elevation; while the arm rests on it, pitch and travel rates die out with table_damping. A locked
+    # axis (as in a bench test) keeps its angle with rate 0, and its lock gives the reaction that this takes.
     count, added = len(model.states), extras(model, delay_s)
     full_state, commanded_V = ca.SX.sym("state", count + len(added.states)), ca.SX.sym("volts_V", 2)
     x, added_states = full_state[:count], full_state[count:]
@@ -120,10 +118,8 @@ def end_of_step(
     generator_state: ca.SX,
     locked: ca.SX,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Apply what a differential equation cannot describe: table, stops, locks, resets and random inputs.
-
-    The plant does this once per millisecond, after it has integrated the rates.
-    """
+    """Apply what a differential equation cannot describe: table, stops, locks, resets and random inputs."""
+    # The plant does this once per millisecond, after it has integrated the rates.
     p_model, limits = p[: len(model.parameters)], p[len(model.parameters) :]
     # Limits: elevation_min, elevation_max, pitch_max, travel_max, table_damping.
     low = ca.vertcat(limits[0], -limits[2], -limits[3]) * _RAD_PER_DEG
@@ -152,10 +148,8 @@ def _depends_on_time(model: Model) -> bool:
 
 
 def delayed_volts_V(commanded_V: ca.SX, past_V: ca.SX, delay_s: float) -> ca.SX:
-    """Return the voltages that act in a millisecond if commands act late, shape (2,).
-
-    The delay need not be whole milliseconds, so the result is a mean of two successive commands.
-    """
+    """Return the voltages that act in a millisecond if commands act late, shape (2,)."""
+    # The delay need not be whole milliseconds, so the result is a mean of two successive commands.
     ticks = past_V.numel() // 2
     if not ticks:
         return commanded_V
@@ -165,12 +159,12 @@ def delayed_volts_V(commanded_V: ca.SX, past_V: ca.SX, delay_s: float) -> ca.SX:
 
 
 def _random_numbers(generator_state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
-    """Draw `count` random numbers of mean 0 and variance 1, and return them with the generator's next state.
-
-    The generator is that of Park and Miller. Its products fit a double exactly, so that C and CasADi's
-    virtual machine draw the same numbers. They are uniformly distributed; the lag of a random effect sums
-    many of them, which makes the result nearly normal.
+    """Draw `count` random numbers of mean 0 and variance 1, and return them with the generator's next
+    state.
     """
+    # The generator is that of Park and Miller. Its products fit a double exactly, so that C and CasADi's
+    # virtual machine draw the same numbers. They are uniformly distributed; the lag of a random effect sums
+    # many of them, which makes the result nearly normal.
     numbers = []
     for _ in range(count):
         generator_state = ca.fmod(_MULTIPLIER * generator_state, _MODULUS)
@@ -184,10 +178,8 @@ def _step_with_effects(model: Model, delay_s: float) -> tuple[Extras, ca.Functio
 
 @cache
 def _step_without_effects(kind: type[Model]) -> tuple[Extras, ca.Function]:
-    """Return extras and step of a model without effects.
-
-    They are kept, because building them takes half of the time in which a simulated board opens.
-    """
+    """Return extras and step of a model without effects."""
+    # They are kept, because building them takes half of the time in which a simulated board opens.
     return _step_with_effects(kind(), 0.0)
 
 
@@ -211,10 +203,8 @@ class Plant:
         self._first_generator_state = 1 + int(np.random.default_rng(seed).integers(_MODULUS - 1))
 
     def rest_state(self) -> Floats:
-        """Return the state of the arm at rest on the table, with level pitch and travel 0.
-
-        Its order is that of ``model.states``, then ``extras.states``.
-        """
+        """Return the state of the arm at rest on the table, with level pitch and travel 0."""
+        # Its order is that of ``model.states``, then ``extras.states``.
         state = np.zeros(len(self.model.states) + len(self.extras.states))
         state[0] = np.deg2rad(self.rig["elevation_min"].value)
         if self.extras.random:
@@ -227,10 +217,8 @@ class Plant:
         volts_V: npt.ArrayLike,
         locked: tuple[bool, bool, bool] = (False, False, False),
     ) -> tuple[Floats, Floats]:
-        """Simulate one millisecond in Python; `native_step` is the same step, compiled.
-
-        Returns the next state and the angles that the encoders see [rad], shape (3,).
-        """
+        """Simulate one millisecond in Python; `native_step` is the same step, compiled."""
+        # Returns the next state and the angles that the encoders see [rad], shape (3,).
         flags = [float(axis) for axis in locked]
         next_model_state, measured = self.function(
             np.asarray(state), np.asarray(volts_V), flags, self.parameters
@@ -238,10 +226,8 @@ class Plant:
         return np.asarray(next_model_state).ravel(), np.asarray(measured).ravel()
 
     def native_step(self) -> _native.PlantStep:
-        """Return the step for the C++ world, compiled by the system's C compiler.
-
-        Without a compiler, C++ calls CasADi's virtual machine, which takes about 50 times as long.
-        """
+        """Return the step for the C++ world, compiled by the system's C compiler."""
+        # Without a compiler, C++ calls CasADi's virtual machine, which takes about 50 times as long.
         library = compile_function(self.function)
         if library is not None:
             return _native.CompiledStep(str(library), self.function.name())

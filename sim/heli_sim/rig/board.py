@@ -73,11 +73,9 @@ def in_simulation(rig: Rig) -> dict[str, float]:
 
 
 def board_settings(rig: Rig, board: Mapping[str, float] | None = None) -> dict[str, float]:
-    """Return the parameters that fit a board to a rig, for `rig to-board`.
-
-    Counts per turn of an encoder whose direction the rig does not state get the sign that the board has; they
-    are left out without a board. Limits that are beyond the rig's are brought within, others stay.
-    """
+    """Return the parameters that fit a board to a rig, for `rig to-board`."""
+    # Counts per turn of an encoder whose direction the rig does not state get the sign that the board has;
+    # they are left out without a board. Limits that are beyond the rig's are brought within, others stay.
     settings = parameters_of(rig) | {"dead_zone_V": rig["dead_zone"].value}
     board_values = {name: spec.default for name, spec in _SPECS.items()} | dict(board or {})
     for (name, count), is_known in zip(encoder_parameters(rig).items(), direction_is_known(rig), strict=True):

@@ -211,11 +211,9 @@ class Difference:
 
     @property
     def tolerances(self) -> float:
-        """Right minus left, divided by the root sum of squares of the two tolerances.
-
-        Within 1 the two can be the same rig. Infinite where neither allows any difference, and where one rig
-        does not have the number.
-        """
+        """Right minus left, divided by the root sum of squares of the two tolerances."""
+        # Within 1 the two can be the same rig. Infinite where neither allows any difference, and where one
+        # rig does not have the number.
         if self.same:
             return 0.0
         if self.left is None or self.right is None:

@@ -136,10 +136,9 @@ SimBoard = NativeBoard | EmulatedDue
 
 
 def make_board(options: SilOptions, boot_seed: int = 1) -> SimBoard:
-    """Make the board that `resolved` options name, powered off. A SimError is raised when the ELF or the
-    flash file cannot be used. `boot_seed` (0 to 2^64 - 1) gives the boots of this board ids that no other
-    board has.
-    """
+    """Make the board that `resolved` options name, powered off."""
+    # A SimError is raised when the ELF or the flash file cannot be used. `boot_seed` (0 to 2^64 - 1) gives
+    # the boots of this board ids that no other board has.
     if options.board == DUE:
         return EmulatedDue(options.elf, options.flash_file, boot_seed)
     return NativeBoard(options.flash_file, boot_seed)
@@ -149,11 +148,9 @@ _EXACT_DIGITS = 17
 
 
 def recipe_of(url: str, options: SilOptions, rig: Rig, choice: Choice) -> dict[str, str]:
-    """Return the address of the simulation, the whole rig, and digests of the files that it executes.
-
-    `heli_host.ui.cli.flight` reads this recipe from a log and repeats the flight. The recipe has no code,
-    because a log from another person must not execute code.
-    """
+    """Return the address of the simulation, the whole rig, and digests of the files that it executes."""
+    # `heli_host.ui.cli.flight` reads this recipe from a log and repeats the flight. The recipe has no code,
+    # because a log from another person must not execute code.
     return {
         "address": url,
         "rig_name": rig.name,

@@ -113,10 +113,8 @@ class RigFaults:
 
     @property
     def uncompared_signs(self) -> dict[str, float]:
-        """Return 0 as the sign of each motor with wrong wires.
-
-        Sign 0 means "unknown": the host then does not compare the sign in the board with the rig.
-        """
+        """Return 0 as the sign of each motor with wrong wires."""
+        # Sign 0 means "unknown": the host then does not compare the sign in the board with the rig.
         wires_are_wrong = (self.motors_swapped or sign < 0 for sign in self.motor_signs)
         names = ("motor_front_sign", "motor_back_sign")
         return {name: 0.0 for name, is_wrong in zip(names, wires_are_wrong, strict=True) if is_wrong}
@@ -164,10 +162,8 @@ class FaultPlan:
                 raise OptionError(f"{name}={value} is not a probability", "give a number from 0 to 1")
 
     def next_edge(self, tick: int) -> int:
-        """Return the first tick after `tick` at which a stall or an unplugging begins or ends.
-
-        Without a further one, the result is `NEVER`.
-        """
+        """Return the first tick after `tick` at which a stall or an unplugging begins or ends."""
+        # Without a further one, the result is `NEVER`.
         return next_edge(self._edges, tick)
 
     @cached_property
@@ -227,10 +223,9 @@ class FaultyStream:
 
 
 class _RareEvents:
-    """Draws the positions of rare events in a long sequence of trials.
+    """Draws the positions of rare events in a long sequence of trials."""
 
-    It draws the gaps between events, which takes less time than a draw for each trial.
-    """
+    # It draws the gaps between events, which takes less time than a draw for each trial.
 
     def __init__(self, probability: float, *seed: int) -> None:
         self._probability = probability

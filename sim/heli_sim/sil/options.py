@@ -241,11 +241,10 @@ def parse_encoders_out(key: str, texts: Sequence[str]) -> tuple[tuple[str, Inter
 
 
 def plant_of(options: SilOptions) -> Plant:
-    """Make a plant of rig, model and effects; its random numbers are drawn from the seed of the options.
-
-    The rig's file may name the model whose parameters it holds, and effects; options come before both. A
-    RigError, EffectError or PlantError when one of the three is unknown, unreadable or has an invalid value.
-    """
+    """Make a plant of rig, model and effects; its random numbers are drawn from the seed of the options."""
+    # The rig's file may name the model whose parameters it holds, and effects; options come before both. A
+    # RigError, EffectError or PlantError when one of the three is unknown, unreadable or has an invalid
+    # value.
     rig = load_rig(options.rig)
     effects = effects_with(rig, options.effects, options.effect_files)
     model = model_named(options.model or rig.model or MultibodyModel.name, effects)

@@ -87,11 +87,10 @@ PATIENCE_S: Final = 1.0
 
 
 class TcpEndpoint(Endpoint):
-    """The board's side of a TCP connection. One host is connected at a time. The next host waits, and
-    receives a line that names the connected host.
+    """The board's side of a TCP connection."""
 
-    A connection does not transfer DTR. Its beginning counts as a rise of the line, and its end as a fall.
-    """
+    # One host is connected at a time. The next host waits, and receives a line that names the connected host.
+    # A connection does not transfer DTR. Its beginning counts as a rise of the line, and its end as a fall.
 
     scheme = "socket"
     """Scheme of the addresses, as pyserial knows it."""
@@ -317,12 +316,11 @@ class Lines:
 
 
 class Rfc2217Protocol(rfc2217.PortManager):
-    """pyserial's server of the protocol, for hosts that may send any bytes.
+    """pyserial's server of the protocol, for hosts that may send any bytes."""
 
-    pyserial raises errors for an end of a request without its beginning, and for requests whose value is
-    missing or unknown; and it keeps a request without an end, however long it gets. Such requests are
-    ignored here, as the standard demands of unknown ones.
-    """
+    # pyserial raises errors for an end of a request without its beginning, and for requests whose value is
+    # missing or unknown; and it keeps a request without an end, however long it gets. Such requests are
+    # ignored here, as the standard demands of unknown ones.
 
     @override
     def filter(self, data: bytes) -> Generator[bytes, None, None]:
@@ -383,10 +381,8 @@ class Rfc2217Endpoint(TcpEndpoint):
         super().send(escaped)
 
     def write(self, data: bytes) -> None:
-        """Send `data` of the protocol itself without escaping; the board's bytes are escaped elsewhere.
-
-        A host that sends requests and reads no answers is disconnected, so that the answers need no memory.
-        """
+        """Send `data` of the protocol itself without escaping; the board's bytes are escaped elsewhere."""
+        # A host that sends requests and reads no answers is disconnected, so that the answers need no memory.
         self._is_overflowing = self._is_overflowing or len(self._unsent) > _MAX_UNSENT_BYTES
         if not self._is_overflowing:
             super().send(data)

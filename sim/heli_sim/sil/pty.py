@@ -20,13 +20,12 @@ from heli_sim.sil.ports import Endpoint, LineChange
 
 
 class PortLink:
-    """A path that becomes a link to a pseudo-terminal, and is reserved until `release`.
+    """A path that becomes a link to a pseudo-terminal, and is reserved until `release`."""
 
-    The reservation is a lock on a hidden file in the same folder. The kernel drops the lock when the server
-    ends, however it ends. The file holds the server's process and its terminal, so that the next server
-    recognizes a link that a killed server left behind. A terminal's number alone cannot show that: Linux
-    gives the number to the next program that asks for a terminal.
-    """
+    # The reservation is a lock on a hidden file in the same folder. The kernel drops the lock when the server
+    # ends, however it ends. The file holds the server's process and its terminal, so that the next server
+    # recognizes a link that a killed server left behind. A terminal's number alone cannot show that: Linux
+    # gives the number to the next program that asks for a terminal.
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -130,13 +129,12 @@ _OSPEED: Final = 5
 
 
 class PtyEndpoint(Endpoint):
-    """The board's side of a pseudo-terminal.
+    """The board's side of a pseudo-terminal."""
 
-    A host opens the link like a device file. When the host closes the port, its unread bytes are discarded,
-    and the terminal remains for the next host. A pseudo-terminal has no line DTR, so opening counts as its
-    rise and closing as its fall. If the host has cleared the hang-up flag (``stty -hupcl``), DTR stays high,
-    as with a serial port of Linux.
-    """
+    # A host opens the link like a device file. When the host closes the port, its unread bytes are discarded,
+    # and the terminal remains for the next host. A pseudo-terminal has no line DTR, so opening counts as its
+    # rise and closing as its fall. If the host has cleared the hang-up flag (``stty -hupcl``), DTR stays
+    # high, as with a serial port of Linux.
 
     def __init__(self, link: str | Path | None = None) -> None:
         self._link = PortLink(Path(link)) if link is not None else None

@@ -100,12 +100,11 @@ class TimedClock(Clock):
 
 
 class LockstepClock(Clock):
-    """As fast as the host keeps up, but not slower than real time.
+    """As fast as the host keeps up, but not slower than real time."""
 
-    Simulated time runs at most `window_ms` ahead of the last byte from the host, so that a host that streams
-    setpoints by the board's clock is not overrun. If the host is silent or slow, time passes as on hardware,
-    and the failsafe acts.
-    """
+    # Simulated time runs at most `window_ms` ahead of the last byte from the host, so that a host that
+    # streams setpoints by the board's clock is not overrun. If the host is silent or slow, time passes as on
+    # hardware, and the failsafe acts.
 
     follows_host = True
 
@@ -161,10 +160,8 @@ class SilServer:
         self._received = b""
 
     def turn(self) -> float:
-        """Move the available bytes and simulate the time that is due, without waiting.
-
-        Returns the seconds until the next call is needed; 0 means immediately.
-        """
+        """Move the available bytes and simulate the time that is due, without waiting."""
+        # Returns the seconds until the next call is needed; 0 means immediately.
         endpoint, world, now_s = self._endpoint, self._world, self._now_s()
         self._follow_cable()
         received = endpoint.receive()
@@ -273,10 +270,8 @@ def _pseudo_terminal(path: str | Path | None) -> Endpoint:
 
 
 def end_of_input() -> int:
-    """Return a file descriptor that becomes readable when standard input ends.
-
-    Windows can wait for sockets only. There, a thread reads the input and then closes one of two sockets.
-    """
+    """Return a file descriptor that becomes readable when standard input ends."""
+    # Windows can wait for sockets only. There, a thread reads the input and then closes one of two sockets.
     if os.name == "posix":
         return sys.stdin.fileno()
     watched, writer = socket.socketpair()
@@ -319,11 +314,9 @@ def _print_json_line(**values: Any) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the server as a separate program.
-
-    The first line of its standard output is ``{"url": ...}`` once the port can be opened, the last one
-    ``{"counters": ...}``.
-    """
+    """Run the server as a separate program."""
+    # The first line of its standard output is ``{"url": ...}`` once the port can be opened, the last one
+    # ``{"counters": ...}``.
     parser = argparse.ArgumentParser(prog="heli_sim.sil.server", description="Serve a simulated board.")
     parser.add_argument("--pty", help="symbolic link to make to the pseudo-terminal")
     parser.add_argument("--tcp", help="HOST:PORT to listen on instead")

@@ -33,13 +33,11 @@ counters; on a busy machine it takes seconds to end in order."""
 
 
 class SilProcess:
-    """A simulated board behind a port, served by a child process; a context manager.
+    """A simulated board behind a port, served by a child process; a context manager."""
 
-    The port is a pseudo-terminal, or where the system has none, TCP on this machine alone.
-
-    The child ends when this process does, however that ends: it watches its standard input. It is in a
-    session of its own, so that Ctrl-C reaches the host alone, which can then still land the rig.
-    """
+    # The port is a pseudo-terminal, or where the system has none, TCP on this machine alone.
+    # The child ends when this process does, however that ends: it watches its standard input. It is in a
+    # session of its own, so that Ctrl-C reaches the host alone, which can then still land the rig.
 
     def __init__(
         self,

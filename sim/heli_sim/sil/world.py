@@ -26,11 +26,9 @@ _TOUCH_RAD: Final = np.deg2rad(0.2)
 
 
 def support_arm(plant: Plant, native: _native.World) -> None:
-    """Lock the elevation of the arm in a world, `native`, while it is on its table with the motors off.
-
-    The world checks this condition every 5 ms. If the arm of the `plant` stays on the table without support,
-    or if the axis is locked for another reason, nothing changes.
-    """
+    """Lock the elevation of the arm in a world, `native`, while it is on its table with the motors off."""
+    # The world checks this condition every 5 ms. If the arm of the `plant` stays on the table without
+    # support, or if the axis is locked for another reason, nothing changes.
     rest = plant.rest_state()
     after, _ = plant.step(rest, (0.0, 0.0))
     if float(after[3]) > 0.0:
@@ -61,10 +59,9 @@ ERASING_BAUD: Final = 1200
 
 
 def set_from_rig(options: SilOptions, rig: Rig) -> dict[str, float]:
-    """Return the parameters that a simulated board takes from its rig instead of its defaults.
-
-    The result is empty if `options` name an existing flash file, because the board then uses its parameters.
-    """
+    """Return the parameters that a simulated board takes from its rig instead of its defaults."""
+    # The result is empty if `options` name an existing flash file, because the board then uses its
+    # parameters.
     if options.flash_file and Path(options.flash_file).exists():
         return {}
     return in_simulation(rig)

@@ -45,10 +45,7 @@ _BARS: Final = '<p id="lab-message" class="hint" role="status"></p>\n<p id="lab-
 
 
 def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[int, bytes]] = ()) -> str:
-    """Return the text of a page from the module of the boards, facts, and segments of the firmware.
-
-    Without segments the page does not offer the emulated Due.
-    """
+    """Return the text of a page from the module of the boards, facts, and segments of the firmware."""
     static = files(_DASHBOARD) / "static"
     modules = [[f"{name}.js", _static(static, f"{name}.js")] for name in _DASHBOARD_MODULES]
     parts = {

@@ -65,10 +65,8 @@ def long_share(files: Sequence[Path], rules: Rules, root: Path = ROOT) -> tuple[
 
 
 def page_words(page: Path, root: Path = ROOT) -> tuple[int, int]:
-    """Count words in sentences, and in headings and tables.
-
-    Code in backticks and a formula in a sentence are one word; code blocks and displayed formulas are none.
-    """
+    """Count words in sentences, and in headings and tables."""
+    # Code in backticks and a formula in a sentence are one word; code blocks and displayed formulas are none.
     in_sentences = elsewhere = 0
     for text in texts_of(page, root):
         words = words_in(FORMULA.sub("x", DISPLAYED.sub("", text.content)))

@@ -220,10 +220,8 @@ def _is_public(name: str) -> bool:
 
 @cache
 def user_errors(root: Path) -> frozenset[str]:
-    """Names of the errors whose arguments are what is wrong and what to do: the tree below `HeliError`.
-
-    A class that writes its message itself, and takes no remedy, is left out with all below it.
-    """
+    """Names of the errors whose arguments are what is wrong and what to do: the tree below `HeliError`."""
+    # A class that writes its message itself, and takes no remedy, is left out with all below it.
     bases: dict[str, list[str]] = {}
     fixed = set()
     for pattern in ("host/heli_host/**/*.py", "sim/heli_*/**/*.py"):

@@ -51,11 +51,9 @@ _DPI: Final = 130
 
 
 def comparison_numbers(flights: Mapping[str, Flight]) -> list[dict[str, Any]]:
-    """Return the metrics of each flight: its label ``flight``, ``effort_V``, and ``axis``.
-
-    ``axis`` contains the metrics of a `Response` by the name of the axis; a metric that does not exist is
-    nan.
-    """
+    """Return the metrics of each flight: its label ``flight``, ``effort_V``, and ``axis``."""
+    # ``axis`` contains the metrics of a `Response` by the name of the axis; a metric that does not exist is
+    # nan.
     return [
         {
             "flight": label,

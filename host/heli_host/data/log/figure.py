@@ -104,10 +104,7 @@ def _headline(summary: FlightSummary) -> str:
 
 
 def _subtitle(summary: FlightSummary) -> str:
-    """Return the lines below the headline: duration, lost ticks, link counters, board and remarks.
-
-    If the flight was aborted, the reason comes first.
-    """
+    """Return the lines below the headline: duration, lost ticks, link counters, board and remarks."""
     lost_text = f"{summary.ticks_lost:,} lost" if summary.ticks_lost else "none lost"
     link = summary.link
     phrases = [
@@ -321,10 +318,7 @@ def _state_runs(state: NDArray[np.uint8]) -> list[_StateRun]:
 
 
 def _envelope(t_s: NDArray[np.float64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-    """Reduce a curve to the minimum and maximum of each bucket, so that a long flight is drawn fast.
-
-    No peak is lost.
-    """
+    """Reduce a curve to the minimum and maximum of each bucket, so that a long flight is drawn fast."""
     rows_per_bucket = len(values) // _BUCKETS
     if rows_per_bucket < 3:
         return broken_at_gaps(t_s, values)

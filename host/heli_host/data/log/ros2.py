@@ -123,10 +123,8 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
 
 
 def _columns_by_size(flight: Flight) -> list[tuple[str, NDArray[Any]]]:
-    """Return the columns of a flight, the largest type first, so that CDR's alignment adds no padding.
-
-    A column of whole numbers gets its integer type if no value changes.
-    """
+    """Return the columns of a flight, the largest type first, so that CDR's alignment adds no padding."""
+    # A column of whole numbers gets its integer type if no value changes.
     typed_columns = []
     for name, column in flight.columns().items():
         integer_type = _INTEGER_TYPES.get(name)
@@ -160,10 +158,7 @@ def _tick_schema(flight: Flight, columns: dict[str, NDArray[Any]]) -> str:
 
 
 def _messages_in_order(flight: Flight, columns: dict[str, NDArray[Any]]) -> Iterator[tuple[int, bool, bytes]]:
-    """Yield rows and events in the order of time; an event comes before a row of the same time.
-
-    Each result has the time in ns, whether the message is an event, and its bytes.
-    """
+    """Yield rows and events in the order of time; an event comes before a row of the same time."""
     dtype = np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
     records = np.zeros(len(flight), dtype)
     for name, column in columns.items():

@@ -170,10 +170,7 @@ class _Field:
 
 
 def _tick_fields() -> Iterator[_Field]:
-    """Yield the fields of a tick: the times, each channel, and after each encoder's counts the angle.
-
-    The first field of an enumeration, such as the state, also declares the names of its values.
-    """
+    """Yield the fields of a tick: the times, each channel, and after each encoder's counts the angle."""
     yield _Field("<f8", "t_s", "seconds of device time since the first tick logged")
     yield _Field("<u4", "tick", "the board's tick counter, 1000 a second")
     declared: set[type] = set()
@@ -254,11 +251,9 @@ RECORD_CRC = "(crc32)"
 
 
 def metadata_crc(name: str, values: Mapping[str, str]) -> str:
-    """Return the CRC-32 of a metadata record, in hexadecimal digits.
-
-    The CRC covers the name, then every key and value, each as a 32-bit length and UTF-8. The keys are sorted,
-    because a tool that copies a log may change their order.
-    """
+    """Return the CRC-32 of a metadata record, in hexadecimal digits."""
+    # The CRC covers the name, then every key and value, each as a 32-bit length and UTF-8. The keys are
+    # sorted, because a tool that copies a log may change their order.
     crc = _crc_after_text(0, name)
     for key in sorted(values):
         if key != RECORD_CRC:

@@ -304,10 +304,8 @@ def _parse_columns(body: bytes, width: int, keep: list[int]) -> NDArray[np.float
 
 
 def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
-    """Return row, column and text of the first cell that is not a number.
-
-    Column -1 means that the row has a wrong number of cells; the text is then this number.
-    """
+    """Return row, column and text of the first cell that is not a number."""
+    # Column -1 means that the row has a wrong number of cells; the text is then this number.
     for row, line_bytes in enumerate(lines.body.split(b"\n")):
         if not line_bytes.strip():
             continue

@@ -70,10 +70,9 @@ from heli_host.errors import LogWriteError
 
 
 class TickClock:
-    """Converts the board's 32-bit tick counter, which wraps after 49.7 days, to time that always grows.
+    """Converts the board's 32-bit tick counter, which wraps after 49.7 days, to time that always grows."""
 
-    After a restart of the board, whose counter starts at 0, the time continues.
-    """
+    # After a restart of the board, whose counter starts at 0, the time continues.
 
     def __init__(self) -> None:
         self._last_tick: int | None = None
@@ -161,10 +160,8 @@ class _Records(RecordBuilder):
 
 
 def json_bytes(body: Mapping[str, Any]) -> bytes:
-    """Return a message as compact JSON.
-
-    `body`: The message; its numbers must be finite.
-    """
+    """Return a message as compact JSON."""
+    # `body`: The message; its numbers must be finite.
     return json.dumps(body, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -205,10 +202,7 @@ class McapBytes:
         return data
 
     def chunk(self, unjoined: Iterable[TickBatch | JsonMessage], file_offset: int) -> bytes:
-        """Return a compressed chunk, followed by its index.
-
-        The index has one record per channel, with the time and the offset of each message of the channel.
-        """
+        """Return a compressed chunk, followed by its index."""
         blocks: list[bytes] = []
         index: dict[int, list[NDArray[Any]]] = {}
         offset = 0
@@ -262,10 +256,7 @@ class McapBytes:
         return data
 
     def _tick_messages(self, batch: TickBatch, offset: int) -> tuple[NDArray[Any], bytes]:
-        """Return ticks as MCAP messages: their entries in the index, and their bytes.
-
-        `offset` is the position of the first of them in its chunk.
-        """
+        """Return ticks as MCAP messages: their entries in the index, and their bytes."""
         records = np.zeros(batch.tick.size, _TICK_RECORD)
         records["opcode"] = int(Opcode.MESSAGE)
         records["length"] = _TICK_RECORD.itemsize - _RECORD_HEADER_BYTES

@@ -115,10 +115,8 @@ def clear_latched_fault(heli: Heli) -> None:
 
 
 def board_text(heli: Heli, *, hidden: bool = False) -> str:
-    """Return a description of the board, such as ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``.
-
-    If `hidden`, the description does not contain the address.
-    """
+    """Return a description of the board, such as ``"Arduino Due, firmware 0.1.0, on /dev/ttyACM0"``."""
+    # If `hidden`, the description does not contain the address.
     from heli_host.link.transport import transport_label
 
     info, transport = heli.info, heli.session.transport
@@ -128,8 +126,5 @@ def board_text(heli: Heli, *, hidden: bool = False) -> str:
 
 
 def board_versions(info: BoardInfo) -> str:
-    """Return board, firmware and link version, such as ``"Arduino Due, firmware 0.1.0, link 1.0"``.
-
-    The text is written at the head of a file with data from the board.
-    """
+    """Return board, firmware and link version, such as ``"Arduino Due, firmware 0.1.0, link 1.0"``."""
     return f"{info.board}, firmware {info.firmware_version}, link {info.link_version}"

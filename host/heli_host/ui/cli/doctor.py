@@ -59,10 +59,8 @@ class Finding:
 
 
 def examine() -> Iterator[Finding]:
-    """Yield one finding at a time, in an order in which no check depends on a later one.
-
-    Other packages add their own checks by an entry point.
-    """
+    """Yield one finding at a time, in an order in which no check depends on a later one."""
+    # Other packages add their own checks by an entry point.
     yield check_python()
     yield check_packages()
     yield from check_extras()

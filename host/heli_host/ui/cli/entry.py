@@ -222,10 +222,8 @@ def _raise_interrupt(number: int, _frame: FrameType | None) -> None:
 
 
 def _leave_the_terminal() -> None:
-    """Redirect standard output and error to /dev/null if the terminal was closed.
-
-    Otherwise each printed line would raise an error.
-    """
+    """Redirect standard output and error to /dev/null if the terminal was closed."""
+    # Otherwise each printed line would raise an error.
     null = os.open(os.devnull, os.O_WRONLY)
     for descriptor in (1, 2):
         if stat.S_ISCHR(os.fstat(descriptor).st_mode):
@@ -253,10 +251,8 @@ def _line_and_exit_code(error: Exception) -> tuple[str, int]:
 
 
 def _module_remedy(package: str) -> str:
-    """Return how to get a missing package: by an extra, by a new installation, or from its author.
-
-    The name of an unknown module is no command to install it: a stranger may offer a package of that name.
-    """
+    """Return how to get a missing package: by an extra, by a new installation, or from its author."""
+    # The name of an unknown module is no command to install it: a stranger may offer a package of that name.
     from heli_host.errors import install_remedy
     from heli_host.ui.cli.doctor import extra_with, needs
 

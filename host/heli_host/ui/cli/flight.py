@@ -131,10 +131,8 @@ class FlightOptions:
         check_target(self.port, self.sil)
 
     def with_seed(self) -> FlightOptions:
-        """Return options that name a seed: a random one for a blind flight.
-
-        Otherwise a known seed lets a reader fly the same flight with each effect, and compare byte by byte.
-        """
+        """Return options that name a seed: a random one for a blind flight."""
+        # Otherwise a known seed lets a reader fly the same flight with each effect, and compare byte by byte.
         if self.seed is not None:
             return self
         return replace(self, seed=secrets.randbelow(1 << 31) if self.blind else _DEFAULT_SEED)

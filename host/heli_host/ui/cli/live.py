@@ -118,11 +118,10 @@ def numbers_table(
 
 
 class LiveLine:
-    """Shows what is happening; a context manager. None for `is_terminal` asks standard output; ``--quiet``
-    leaves only the lines that stay.
+    """Shows what is happening; a context manager."""
 
-    On a terminal a table is rewritten in place; elsewhere a line is printed every few seconds.
-    """
+    # None for `is_terminal` asks standard output; ``--quiet`` leaves only the lines that stay.
+    # On a terminal a table is rewritten in place; elsewhere a line is printed every few seconds.
 
     def __init__(self, is_terminal: bool | None = None) -> None:
         self._quiet = QUIET.get()
@@ -186,12 +185,11 @@ def link_text(counters: LinkCounters) -> str:
 
 
 class WorkBar:
-    """Shows what is being done, and the time left; a context manager. None for `is_terminal` asks standard
-    output; ``--quiet`` shows nothing.
+    """Shows what is being done, and the time left; a context manager."""
 
-    On a terminal one line is rewritten in place and disappears at the end; elsewhere a line is printed every
-    few seconds.
-    """
+    # None for `is_terminal` asks standard output; ``--quiet`` shows nothing.
+    # On a terminal one line is rewritten in place and disappears at the end; elsewhere a line is printed
+    # every few seconds.
 
     def __init__(self, is_terminal: bool | None = None) -> None:
         self._is_terminal = sys.stdout.isatty() if is_terminal is None else is_terminal

@@ -319,10 +319,7 @@ def open_watch(
 
 
 def chosen_parameters(file: Path | None, gains: str | None) -> Mapping[str, float]:
-    """Read and check a file of parameters, and return its values by name.
-
-    If a file has another parameter schema, its known parameters are used, and the others are printed.
-    """
+    """Read and check a file of parameters, and return its values by name."""
     from heli_host.board.parameters import read_parameter_set
     from heli_host.ui.cli.say import say_dropped
 

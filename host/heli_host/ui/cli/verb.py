@@ -52,10 +52,9 @@ class Verb:
 
 
 def installed_verbs() -> dict[str, Verb]:
-    """Find the verbs of all installed packages, ordered by panel, then by name.
-
-    If a package cannot be imported, a line on stderr reports it, and the verbs of other packages still work.
-    """
+    """Find the verbs of all installed packages, ordered by panel, then by name."""
+    # If a package cannot be imported, a line on stderr reports it, and the verbs of other packages still
+    # work.
     verbs: dict[str, Verb] = {}
     for entry in sorted(plugins(ENTRY_POINT_GROUP), key=_own_packages_first):
         try:
@@ -98,11 +97,9 @@ _Verb = Callable[..., None]
 
 
 def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _Verb]:
-    """Give a verb the options of its groups, where typer expects one parameter per option.
-
-    A group is a keyword argument whose type is a dataclass. Its options are the fields with annotated types,
-    in their order. The other fields keep their defaults.
-    """
+    """Give a verb the options of its groups, where typer expects one parameter per option."""
+    # A group is a keyword argument whose type is a dataclass. Its options are the fields with annotated
+    # types, in their order. The other fields keep their defaults.
 
     def decorate(verb: _Verb) -> _Verb:
         parameters: list[inspect.Parameter] = []
@@ -143,11 +140,10 @@ def _options_of_dataclass(group: type[Any]) -> list[inspect.Parameter]:
 
 
 class _Variadic(TyperCommand):
-    """A verb whose repeatable options take all words up to the next option.
+    """A verb whose repeatable options take all words up to the next option."""
 
-    Without this, a second file behind ``--validate`` would be taken for one more flight to fit, without
-    an error.
-    """
+    # Without this, a second file behind ``--validate`` would be taken for one more flight to fit, without an
+    # error.
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Repeat an option before each of its values in `args`, then parse the arguments as usual."""

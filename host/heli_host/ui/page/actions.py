@@ -38,13 +38,12 @@ loads may not answer for a second."""
 
 
 class FlightRequests:
-    """Requests of the pilot of a `Cockpit`: take off, fly plans, move, land.
+    """Requests of the pilot of a `Cockpit`: take off, fly plans, move, land."""
 
-    It owns the flight of plans that is in progress. `take_off` and `fly` block in the thread of
-    `CommandQueue.FLIGHT`, until the arm hovers or the motors are off. Meanwhile the others run in the threads
-    of `CommandQueue.QUICK` and `CommandQueue.SETPOINT`. The stop is no request: `Cockpit.stop` sends it past
-    all queues, and the board's change of state then ends the flight here.
-    """
+    # It owns the flight of plans that is in progress. `take_off` and `fly` block in the thread of
+    # `CommandQueue.FLIGHT`, until the arm hovers or the motors are off. Meanwhile the others run in the
+    # threads of `CommandQueue.QUICK` and `CommandQueue.SETPOINT`. The stop is no request: `Cockpit.stop`
+    # sends it past all queues, and the board's change of state then ends the flight here.
 
     def __init__(
         self, heli: Heli, plans: Sequence[Plan], law: LawChoice, recording: Recording, pilot: PilotWatch
@@ -186,12 +185,11 @@ class _PlanFlight:
 
 
 class LawChoice:
-    """The control laws that clients may choose, and the chosen one.
+    """The control laws that clients may choose, and the chosen one."""
 
-    A law is uploaded while the board is idle. It flies from the end of the take-off. In flight a client can
-    switch only between the uploaded law and the board's own cascade, which runs along and takes over when the
-    law fails.
-    """
+    # A law is uploaded while the board is idle. It flies from the end of the take-off. In flight a client can
+    # switch only between the uploaded law and the board's own cascade, which runs along and takes over when
+    # the law fails.
 
     def __init__(self, heli: Heli, laws: Sequence[LawProgram]) -> None:
         self.chosen = ""
@@ -297,11 +295,10 @@ class LawChoice:
 
 
 class ParameterEdits:
-    """Changes of parameters by the clients of a `Cockpit`.
+    """Changes of parameters by the clients of a `Cockpit`."""
 
-    It owns the values that pages show, and the changes that can be undone. Its requests run in the thread of
-    `CommandQueue.QUICK`; `values` and `undoable` may be read from any thread.
-    """
+    # It owns the values that pages show, and the changes that can be undone. Its requests run in the thread
+    # of `CommandQueue.QUICK`; `values` and `undoable` may be read from any thread.
 
     def __init__(self, heli: Heli, recording: Recording, on_change: Callable[[], None]) -> None:
         self.values = dict(heli.params)
@@ -347,10 +344,10 @@ class ParameterEdits:
 
 
 class Recording:
-    """The recorder of a `Cockpit`, while there is one. Its methods may be called from any thread.
+    """The recorder of a `Cockpit`, while there is one."""
 
-    It owns the recorder from `begin` to `close`. Nothing here moves the rig or stops it.
-    """
+    # Its methods may be called from any thread.
+    # It owns the recorder from `begin` to `close`. Nothing here moves the rig or stops it.
 
     def __init__(
         self, session: Session, new_recorder: Callable[[Sequence[Plan], float], Recorder], feed: EventFeed
@@ -420,10 +417,10 @@ class Recording:
 
 
 class EventFeed:
-    """News of a `Cockpit` on its way to the pages. Its methods may be called from any thread.
+    """News of a `Cockpit` on its way to the pages."""
 
-    It owns the newest events, which a page that connects later gets as well.
-    """
+    # Its methods may be called from any thread.
+    # It owns the newest events, which a page that connects later gets as well.
 
     def __init__(self) -> None:
         self._news: News | None = None
@@ -450,12 +447,11 @@ class EventFeed:
 
 
 class PilotWatch:
-    """Presence of the pilot's page, and the cause of the board's last change of state.
+    """Presence of the pilot's page, and the cause of the board's last change of state."""
 
-    It owns the cause of the board's last change of state. The server's lease decides whether the page is
-    present. The session asks the same callable before each setpoint: see
-    `heli_host.link.session.Session.permit_streams`.
-    """
+    # It owns the cause of the board's last change of state. The server's lease decides whether the page is
+    # present. The session asks the same callable before each setpoint: see
+    # `heli_host.link.session.Session.permit_streams`.
 
     def __init__(self, recording: Recording) -> None:
         self.cause = ""
@@ -465,10 +461,8 @@ class PilotWatch:
         self._last_absence = ""
 
     def watch(self, present: Callable[[], bool], absence: Callable[[], str]) -> None:
-        """Register the conditions; see `heli_host.ui.page.source.Source.watch_pilot`.
-
-        `present`: True while the pilot's page answers; it must not block.
-        """
+        """Register the conditions; see `heli_host.ui.page.source.Source.watch_pilot`."""
+        # `present`: True while the pilot's page answers; it must not block.
         self._present, self._absence = present, absence
 
     def wait_until_settled(self, give_up: Callable[[], bool]) -> bool:

@@ -150,10 +150,8 @@ class PageClient:
             raise LinkError(str(answer), "use the rig's own stop switch")
 
     def ask(self, name: str, /, *, timeout_s: float = _ANSWER_S, **arguments: Any) -> Mapping[str, Any]:
-        """Send a request of the table in docs/how-to/dashboard.md and wait for the answer.
-
-        At most 50 requests are sent per second; a further one waits for its turn.
-        """
+        """Send a request of the table in docs/how-to/dashboard.md and wait for the answer."""
+        # At most 50 requests are sent per second; a further one waits for its turn.
         with self._changed:
             self._last_request += 1
             number = self._last_request

@@ -50,10 +50,10 @@ class _Client:
 
 
 class ControlLease:
-    """The connected clients, and which of them is the pilot. All methods may be called from any thread.
+    """The connected clients, and which of them is the pilot."""
 
-    Nothing here talks to the board. `present` decides whether setpoints are sent.
-    """
+    # All methods may be called from any thread.
+    # Nothing here talks to the board. `present` decides whether setpoints are sent.
 
     def __init__(self) -> None:
         self.pilot: str | None = None
@@ -74,11 +74,9 @@ class ControlLease:
             return True
 
     def leave(self, client: str) -> None:
-        """Mark a client as disconnected and withdraw its request for control.
-
-        A disconnected pilot keeps the lease until another client asks for it, but counts as absent: no
-        setpoints are sent.
-        """
+        """Mark a client as disconnected and withdraw its request for control."""
+        # A disconnected pilot keeps the lease until another client asks for it, but counts as absent: no
+        # setpoints are sent.
         with self._lock:
             if client in self._clients:
                 self._clients[client].connected = False
@@ -227,11 +225,10 @@ class Outbox:
 
 
 class Broadcast:
-    """The connected clients, as addressees.
+    """The connected clients, as addressees."""
 
-    It owns their outboxes while they are connected. All methods run in the event loop's thread, except
-    `tell_all_soon`. None blocks: a slow client loses messages of its own and delays no other.
-    """
+    # It owns their outboxes while they are connected. All methods run in the event loop's thread, except
+    # `tell_all_soon`. None blocks: a slow client loses messages of its own and delays no other.
 
     def __init__(self, notes: Notes) -> None:
         self.loop: asyncio.AbstractEventLoop | None = None

@@ -54,13 +54,12 @@ unknown; with a longer one, a page might show "idle" although the board has begu
 
 
 class Cockpit:
-    """A connected board as the source of a page.
+    """A connected board as the source of a page."""
 
-    A stop goes straight from `stop` to the session, in the thread of the caller, and waits for no request.
-    All other requests run in the thread of their `CommandQueue`, after `clear_stop` has accepted them.
-    Samples and events arrive in the session's reading thread. `describe`, `status` and `state` may be called
-    from any thread.
-    """
+    # A stop goes straight from `stop` to the session, in the thread of the caller, and waits for no request.
+    # All other requests run in the thread of their `CommandQueue`, after `clear_stop` has accepted them.
+    # Samples and events arrive in the session's reading thread. `describe`, `status` and `state` may be
+    # called from any thread.
 
     def __init__(
         self,
@@ -174,10 +173,8 @@ class Cockpit:
         return self._session.release_stop(epoch)
 
     def watch_pilot(self, present: Callable[[], bool], absence: Callable[[], str] = lambda: "") -> None:
-        """Send setpoints and voltages only while the pilot's page answers; see `Source.watch_pilot`.
-
-        `present`: True while the pilot's page answers; it must not block.
-        """
+        """Send setpoints and voltages only while the pilot's page answers; see `Source.watch_pilot`."""
+        # `present`: True while the pilot's page answers; it must not block.
         self._pilot.watch(present, absence)
         self._session.permit_streams(present)
 

@@ -80,10 +80,9 @@ class FrameCounter:
         self._head = b""
 
     def count(self, data: bytes, most: float) -> int:
-        """Return how many frames begin in the next bytes of the stream.
-
-        `most`: Counting ends with the first frame above this number; the stream must not be used afterwards.
-        """
+        """Return how many frames begin in the next bytes of the stream."""
+        # `most`: Counting ends with the first frame above this number; the stream must not be used
+        # afterwards.
         data = self._head + data
         at, frames = self._payload_left, 0
         while at + 2 <= len(data) and frames <= most:
@@ -152,10 +151,7 @@ class Guard:
     notes: Notes = field(default_factory=Notes)  # Log for malformed headers
 
     def refusal(self, connection: HTTPConnection, *, needs_token: bool = True) -> Response | None:
-        """Return the error response for a connection that must be refused, otherwise None.
-
-        `needs_token`: True if it must carry the token, which is then checked first.
-        """
+        """Return the error response for a connection that must be refused, otherwise None."""
         if needs_token and not self._has_token(connection):
             message = "open the whole address that heli-host dashboard printed: it carries a token\n"
             return PlainTextResponse(message, 403)

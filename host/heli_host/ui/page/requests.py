@@ -89,10 +89,8 @@ def _check_depth_and_text(name: str, value: Any, actions: Mapping[str, Any]) -> 
 
 
 def _elements_of_json(value: Any) -> Iterator[Any]:
-    """Yield all keys, texts and numbers in a JSON value, at any depth.
-
-    Without recursion, because a message may be a thousand levels deep.
-    """
+    """Yield all keys, texts and numbers in a JSON value, at any depth."""
+    # Without recursion, because a message may be a thousand levels deep.
     pending = [value]
     while pending:
         element = pending.pop()
@@ -105,11 +103,10 @@ def _elements_of_json(value: Any) -> Iterator[Any]:
 
 
 class RequestDispatcher:
-    """Checks each request of a client, runs it and answers it.
+    """Checks each request of a client, runs it and answers it."""
 
-    It owns the queues: one thread for each `CommandQueue`, in which the actions of the source run. Everything
-    else runs in the event loop's thread. A request ``stop`` uses no queue and needs no role.
-    """
+    # It owns the queues: one thread for each `CommandQueue`, in which the actions of the source run.
+    # Everything else runs in the event loop's thread. A request ``stop`` uses no queue and needs no role.
 
     def __init__(self, source: Source, lease: ControlLease, broadcast: Broadcast, notes: Notes) -> None:
         self._source = source

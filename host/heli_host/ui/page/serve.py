@@ -71,12 +71,9 @@ class Address:
 
 @contextlib.contextmanager
 def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str = "") -> Iterator[Address]:
-    """Serve a page from a background thread until the ``with`` block ends.
-
-    The end of the block closes the server only: the caller lands the helicopter or switches its motors off.
-
-    `token`: Secret that clients must send; empty for a new random one.
-    """
+    """Serve a page from a background thread until the ``with`` block ends."""
+    # The end of the block closes the server only: the caller lands the helicopter or switches its motors off.
+    # `token`: Secret that clients must send; empty for a new random one.
     guard, notes = Guard(token or new_token(), host), Notes()
     listening = _open_socket(host, port)
     server = _PageServer(Service(source, guard, notes).application())
@@ -193,10 +190,10 @@ class _AcceptedConnection(H11Protocol):
 
 
 class _MeteredWebSocket(WebSocketsSansIOProtocol):
-    """A client's WebSocket, which is closed as soon as the client sends more than `Meter` allows.
+    """A client's WebSocket, which is closed as soon as the client sends more than `Meter` allows."""
 
-    The bytes that exceed the limit are neither decoded nor queued, and messages that still wait are dropped.
-    """
+    # The bytes that exceed the limit are neither decoded nor queued, and messages that still wait are
+    # dropped.
 
     def data_received(self, data: bytes) -> None:
         """Process received bytes, unless they exceed the limit."""
@@ -223,11 +220,9 @@ class _MeteredWebSocket(WebSocketsSansIOProtocol):
 
 
 def _closing(application: ASGIApp) -> ASGIApp:
-    """Return an application that ends each connection after its response.
-
-    The next request of a browser then arrives on a new connection. On an old one, a stop would reach the
-    event loop of the other clients.
-    """
+    """Return an application that ends each connection after its response."""
+    # The next request of a browser then arrives on a new connection. On an old one, a stop would reach the
+    # event loop of the other clients.
 
     async def served(scope: Scope, receive: Receive, send: Send) -> None:
         async def send_closing(message: Message) -> None:

@@ -50,12 +50,11 @@ _HEADERS = {
 
 
 class Service:
-    """Serves one source to any number of clients.
+    """Serves one source to any number of clients."""
 
-    It owns the connections: it accepts clients, reads what they send, and sends them status and telemetry.
-    Everything here runs in the event loop's thread. All requests go through `RequestDispatcher`, which has
-    the queues. The stop has its own thread: see `heli_host.ui.page.gate.Gate`.
-    """
+    # It owns the connections: it accepts clients, reads what they send, and sends them status and telemetry.
+    # Everything here runs in the event loop's thread. All requests go through `RequestDispatcher`, which has
+    # the queues. The stop has its own thread: see `heli_host.ui.page.gate.Gate`.
 
     def __init__(self, source: Source, guard: Guard, notes: Notes) -> None:
         self.lease = ControlLease()
@@ -196,10 +195,7 @@ class Service:
                 await asyncio.sleep(self._watchers.wait_s())
 
     def _take_acknowledgement(self, client: Outbox, data: bytes) -> None:
-        """Process an acknowledgement, which is also a sign of life of the client.
-
-        Its four bytes are the number of the newest frame that the client has shown.
-        """
+        """Process an acknowledgement, which is also a sign of life of the client."""
         if len(data) == 4:
             # A page that has reconnected may still acknowledge frames of its earlier connection.
             number = min(int.from_bytes(data, "little"), client.sent)

@@ -82,11 +82,11 @@ class Role(Enum):
 
 
 class CommandQueue(Enum):
-    """Queue in which an action runs. Each queue has one thread and runs its actions in order.
+    """Queue in which an action runs."""
 
-    The queues are independent: an action waits for earlier actions of its own queue only. A stop uses none of
-    them.
-    """
+    # Each queue has one thread and runs its actions in order.
+    # The queues are independent: an action waits for earlier actions of its own queue only. A stop uses none
+    # of them.
 
     FLIGHT = auto()
     """Actions that take as long as a flight: take off, fly plans."""

@@ -77,10 +77,7 @@ def _campaign_of_table(path: Path, table: Mapping[str, Any]) -> Campaign:
 def _case_per_combination(
     work: str, values: Mapping[str, Sequence[Any]], fixed: Mapping[str, Any]
 ) -> tuple[Case, ...]:
-    """Make one case per combination of settings.
-
-    The name of a case consists of the settings that have several values.
-    """
+    """Make one case per combination of settings."""
     varied = [name for name, choices in values.items() if len(choices) > 1]
     cases = []
     for combination in itertools.product(*values.values()):

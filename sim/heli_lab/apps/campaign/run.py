@@ -220,18 +220,14 @@ def _run_jobs(
 def _run_on_workers(
     client: Client, jobs: list[Job], unusable: set[str]
 ) -> Iterator[tuple[JobResult | None, str]]:
-    """Run jobs on a cluster, and yield results as `_run_jobs`; Dask submits those of lost workers again.
-
-    A worker that joins late may have other code: its job is submitted again to the others.
-    """
+    """Run jobs on a cluster, and yield results as `_run_jobs`; Dask submits those of lost workers again."""
+    # A worker that joins late may have other code: its job is submitted again to the others.
     from distributed import KilledWorker, as_completed
 
     def submit(job: Job) -> Future[Any]:
-        """Submit a job to the usable workers.
-
-        If no worker is usable, any worker may take the job and then reports that its code differs. A job
-        without a worker would wait forever.
-        """
+        """Submit a job to the usable workers."""
+        # If no worker is usable, any worker may take the job and then reports that its code differs. A job
+        # without a worker would wait forever.
         workers = None
         if unusable:
             workers = [worker for worker in client.scheduler_info()["workers"] if worker not in unusable]

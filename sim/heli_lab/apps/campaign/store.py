@@ -177,10 +177,8 @@ def _cell_of_setting(value: Any) -> Cell:
 
 
 def _column_values(values: Sequence[Cell]) -> list[Cell]:
-    """Make the values of a column equal in type: numbers stay numbers, other mixed types become texts.
-
-    A number that is not finite, such as the settling time of a step that never settles, is left out.
-    """
+    """Make the values of a column equal in type: numbers stay numbers, other mixed types become texts."""
+    # A number that is not finite, such as the settling time of a step that never settles, is left out.
     kinds = {type(value) for value in values if value is not None}
     if kinds <= {int, float} and float in kinds:
         return [

@@ -68,12 +68,10 @@ def code_difference(code: str, works: tuple[str, ...], modules: str = "") -> str
 
 
 def run_job(job: Job) -> JobResult:
-    """Run a case in a separate process, store its result, and return it.
-
-    If the result is stored already, the case is not run again: a cluster that loses a worker submits its
-    cases a second time. If this worker can write to the folder of the results, it stores the result there and
-    returns the row of the table only.
-    """
+    """Run a case in a separate process, store its result, and return it."""
+    # If the result is stored already, the case is not run again: a cluster that loses a worker submits its
+    # cases a second time. If this worker can write to the folder of the results, it stores the result there
+    # and returns the row of the table only.
     difference = code_difference(job.code, job.works, job.modules)
     if difference:
         raise CodeMismatchError(worker_name(), difference)
@@ -337,10 +335,8 @@ def _without_numpy_types(value: Any) -> Any:
 
 
 def _reserved_pipe(descriptor: int, mode: str) -> IO[bytes]:
-    """Open standard input or output for jobs or replies only, and connect the `descriptor` to nothing.
-
-    A case that reads or prints can then neither take a job nor disturb a reply.
-    """
+    """Open standard input or output for jobs or replies only, and connect the `descriptor` to nothing."""
+    # A case that reads or prints can then neither take a job nor disturb a reply.
     pipe = os.fdopen(os.dup(descriptor), mode)
     null_device = os.open(os.devnull, os.O_RDWR)
     os.dup2(null_device, descriptor)

@@ -141,11 +141,9 @@ class LawGrade:
 
 
 def with_plan_setpoints(program: LawProgram) -> LawProgram:
-    """Return a law with the same voltages that logs the plan's setpoints of elevation and travel.
-
-    A law may log setpoints that it computes. A law that logs the measured angles as setpoints would have no
-    error. Therefore, a grade uses the setpoints of the plan.
-    """
+    """Return a law with the same voltages that logs the plan's setpoints of elevation and travel."""
+    # A law may log setpoints that it computes. A law that logs the measured angles as setpoints would have no
+    # error. Therefore, a grade uses the setpoints of the plan.
     outputs = list(program.outputs)
     for axis in ("elevation", "travel"):
         outputs[_FIRST_SETPOINT + AXES.index(axis)] = LAW_INPUTS.index(f"{axis}_setpoint_rad")
@@ -209,9 +207,8 @@ def grade(
 def _margins(program: LawProgram | None, plant: LinearPlant | None) -> tuple[float, float]:
     """Return gain margin (factor) and phase margin [deg] of a law: the smaller of collective and
     differential.
-
-    Both are nan without a law or a linear rig, and if the closed loop is unstable.
     """
+    # Both are nan without a law or a linear rig, and if the closed loop is unstable.
     if program is None or plant is None:
         return math.nan, math.nan
     with warnings.catch_warnings(), np.errstate(all="ignore"):

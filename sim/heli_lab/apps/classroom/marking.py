@@ -104,12 +104,10 @@ class Mark:
 
 
 def points_by_measure(score: FlightScore, reference: FlightScore) -> dict[str, float]:
-    """Compute the points for each measure: full points if it is as good as that of the reference.
-
-    If the reference lacks a measure, such as the overshoot of a plan without a step, the other measures count
-    more. Effort and overshoot earn at most the share of points that the RMS error earns, because motors that
-    do nothing have little effort and no overshoot.
-    """
+    """Compute the points for each measure: full points if it is as good as that of the reference."""
+    # If the reference lacks a measure, such as the overshoot of a plan without a step, the other measures
+    # count more. Effort and overshoot earn at most the share of points that the RMS error earns, because
+    # motors that do nothing have little effort and no overshoot.
     shares = {name: _points_share(name, score, reference) for name in WEIGHTS}
     tracking_share = 1.0 if math.isnan(shares["rms_deg"]) else shares["rms_deg"]
     counted_shares = {name: share for name, share in shares.items() if not math.isnan(share)}
@@ -294,11 +292,9 @@ NOT_FLOWN = "not flown"
 def fly_on_rig(
     submissions: Sequence[MarkedSubmission], options: FlightOptions, plan: Plan, confirm: Confirm
 ) -> Iterator[tuple[MarkedSubmission, str]]:
-    """Fly each submission on the rig, and yield the submission with the outcome.
-
-    Each flight begins with the rig's parameters and the gains of the submission. Afterwards, the rig has its
-    own parameters again.
-    """
+    """Fly each submission on the rig, and yield the submission with the outcome."""
+    # Each flight begins with the rig's parameters and the gains of the submission. Afterwards, the rig has
+    # its own parameters again.
     with _parameters_restored(options.port) as rig_parameters:
         for marked in submissions:
             submission = marked.submission

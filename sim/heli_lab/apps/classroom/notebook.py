@@ -152,9 +152,8 @@ def notebook_json(cells: Sequence[NotebookCell], points: dict[str, int]) -> str:
 
 
 def write_editions(sources: Sequence[Path], output: Path) -> list[Path]:
-    """Write ``student/NAME.ipynb``, ``teacher/NAME.ipynb`` and ``teacher/NAME.rubric.md`` of each notebook.
-
-    All sources are read before the first file is written.
+    """Write ``student/NAME.ipynb``, ``teacher/NAME.ipynb`` and ``teacher/NAME.rubric.md`` of each
+    notebook.
     """
     text_by_path: dict[Path, str] = {}
     for source in sources:

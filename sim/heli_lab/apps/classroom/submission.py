@@ -142,10 +142,8 @@ def _check_plan(plan: Plan) -> None:
 
 
 def _gains_of_file(content: Mapping[str, Any], path: Path) -> dict[str, float]:
-    """Return the gains of a parameter file; the rig keeps its own values of all other parameters.
-
-    A ParameterError is raised if another parameter differs from its default.
-    """
+    """Return the gains of a parameter file; the rig keeps its own values of all other parameters."""
+    # A ParameterError is raised if another parameter differs from its default.
     defaults = {spec.name: spec.default for spec in PARAMS}
     values = parameter_set(content, path).values
     gains = {name: value for name, value in values.items() if _GAINS.fullmatch(name) is not None}
@@ -167,10 +165,9 @@ def new_rig_log(folder: Path) -> Path:
 def returned_files(folder: Path) -> Iterator[Path]:
     """Yield an empty temporary folder, which becomes the folder ``marked`` of a submission when the block
     ends.
-
-    An existing ``marked`` is replaced, except for the files of flights on the rig. No file is written into
-    the existing folder, because it may be a link to another place.
     """
+    # An existing ``marked`` is replaced, except for the files of flights on the rig. No file is written into
+    # the existing folder, because it may be a link to another place.
     marked_folder = folder / MARKED
     _check_marked_folder(marked_folder)
     try:

@@ -109,11 +109,7 @@ def cross_entropy(
 
 
 def _policy_of_gains(weights: Floats) -> LinearPolicy:
-    """Build a policy from six gains.
-
-    Elevation and its rate act on the sum of the voltages; pitch, travel and their rates act on the
-    difference.
-    """
+    """Build a policy from six gains."""
     # Observation: angles 0 to 2, rates 3 to 5, last action 6 and 7.
     collective, differential = np.zeros(8), np.zeros(8)
     collective[[0, 3]] = weights[:2]

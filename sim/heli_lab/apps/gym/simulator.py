@@ -254,10 +254,7 @@ class PlantAlone(Simulator):
 
 
 class BoardInLockstep(Simulator):
-    """Flight code with its limits and faults, and the link, in simulated time.
-
-    The board takes off with its control law, and then applies streamed voltages.
-    """
+    """Flight code with its limits and faults, and the link, in simulated time."""
 
     def __init__(self) -> None:
         self._heli: heli_host.Heli | None = None
@@ -266,11 +263,9 @@ class BoardInLockstep(Simulator):
         self._steps: list[tuple[Floats, int]] = []
 
     def __deepcopy__(self, memo: dict[int, Any]) -> BoardInLockstep:
-        """Return another board at the same moment of the same episode.
-
-        A running board cannot be copied. In lockstep the same voltages give the same samples, so that the
-        copy flies the episode again from its beginning.
-        """
+        """Return another board at the same moment of the same episode."""
+        # A running board cannot be copied. In lockstep the same voltages give the same samples, so that the
+        # copy flies the episode again from its beginning.
         copied = memo[id(self)] = BoardInLockstep()
         if self._begin is not None and self._heli is not None:
             copied.reset(*self._begin)

@@ -92,10 +92,8 @@ def printed_inertias_kg_m2(rig: Rig, elevation_rad: float = 0.0, pitch_rad: floa
 
 
 def analytic(rig: Rig, corrected: bool = True) -> dict[str, float]:
-    """Compute P_1 to P_18 from a rig's parameters, by the formulas that the paper prints below (30).
-
-    The results are in rad, s and V of U+ and U-.
-    """
+    """Compute P_1 to P_18 from a rig's parameters, by the formulas that the paper prints below (30)."""
+    # The results are in rad, s and V of U+ and U-.
     value = {name: number.value for name, number in rig.items()}
     inertia = printed_inertias_kg_m2(rig)
     j_theta, j_phi, j_psi = (inertia[name] for name in ("J_theta", "J_phi", "J_psi"))
@@ -205,9 +203,9 @@ CASES: Final[tuple[SensitivityCase, ...]] = (
 def response_deg(coefficients: Mapping[str, float], test: BenchTest, t_s: Floats) -> Floats:
     """Simulate the elevation of (30) after a step of both voltages, with pitch and travel locked. Shapes:
     `t_s` (n,); returns (n,).
-
-    The arm starts on its table; there is no upper stop. The integration is a fourth-order Runge-Kutta method.
     """
+    # The arm starts on its table; there is no upper stop. The integration is a fourth-order Runge-Kutta
+    # method.
     p, sum_V = coefficients, test.front_V + test.back_V
     table_rad = math.radians(TABLE_DEG)
     constant_rad_s2 = p["P_1"] + p["P_5"] + p["P_6"] * sum_V

@@ -146,21 +146,16 @@ class _TiltPlant:
         )
 
     def pitch_per_unit(self, reading: Reading) -> float:
-        """Return the pitch setpoint [rad] per radian of travel error at a travel gain of 1.
-
-        The paper does not state the unit of the travel controller's output U_3, so its gains have two
-        readings: degrees of pitch per degree of travel, or volts per degree.
-        """
+        """Return the pitch setpoint [rad] per radian of travel error at a travel gain of 1."""
+        # The paper does not state the unit of the travel controller's output U_3, so its gains have two
+        # readings: degrees of pitch per degree of travel, or volts per degree.
         # In volts, the paper has sin(phi) U+ = U_3 with the sum of the voltages U+. Near level, one volt is
         # then 1 / U+ rad of pitch, and a radian of travel is 57.3 degrees.
         return 1.0 if reading == "degrees" else _DEG / self.sum_V
 
     def closed(self, law: _TiltGains, lag_s: float) -> Floats:
-        """Return the closed-loop state matrix, (7, 7), or (6, 6) without lag.
-
-        Its states are the plant's four, the integrals of travel and of the pitch error, and the lagging
-        U-.
-        """
+        """Return the closed-loop state matrix, (7, 7), or (6, 6) without lag."""
+        # Its states are the plant's four, the integrals of travel and of the pitch error, and the lagging U-.
         # Each signal is a row, shape (7,): its derivatives by the states.
         pitch, travel, pitch_rate, travel_rate, travel_integral, error_integral, lagging = np.eye(7)
         kp, ki, kd = law.travel
@@ -190,11 +185,9 @@ def _dominant_pole(A: Floats) -> complex:
 
 
 def _travel_step_metrics(A: Floats) -> tuple[float, float]:
-    """Simulate a step of the travel setpoint with the closed-loop state matrix `A`, shape (n, n). Returns
-    `peak_deg`, `settling_time_s`.
-
-    The derivative kick of the setpoint is left out.
-    """
+    """Simulate a step of the travel setpoint with the closed-loop state matrix `A`, shape (n, n)."""
+    # Returns `peak_deg`, `settling_time_s`.
+    # The derivative kick of the setpoint is left out.
     state = np.zeros(len(A))
     # Travel is simulated as the deviation from its setpoint.
     state[1] = -SETTLING_STEP_DEG

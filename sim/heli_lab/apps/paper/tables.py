@@ -299,10 +299,7 @@ def fit_rig(
     line: Line,
     on_progress: Callable[[float], None] | None = None,
 ) -> RigTable:
-    """Fit the multibody model to the bench tests of each table.
-
-    Each estimate is from the tests that identify the parameter best.
-    """
+    """Fit the multibody model to the bench tests of each table."""
     best = {
         "thrust_gain": _ParameterEstimate(line.gain_N_per_V, line.gain_half, "Fig. 15"),
         "dead_zone": _ParameterEstimate(line.dead_zone_V, line.dead_zone_half, "Fig. 15"),
@@ -446,10 +443,7 @@ def model_lines(model_errors: Sequence[ModelError]) -> list[str]:
 
 
 def tables_json(plant: Plant, line: Line, by_rig: RigTable, tables: Sequence[Table]) -> dict[str, Any]:
-    """Return Tables 2 to 5 with their errors as a JSON object.
-
-    Its keys are rig, model, thrust, table_2, table_3, table_4 and table_5.
-    """
+    """Return Tables 2 to 5 with their errors as a JSON object."""
     return {
         "rig": plant.rig.name,
         "model": plant.model.name,

@@ -295,8 +295,6 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
 def _initial_tilt_gains(nominal: LinearPlant, inner_rad_s: float) -> Floats:
     """Return the start of the search, shape (7,): kp, ki and kd of pitch, the same of travel, the
     feed-forward.
-
-    The pitch loop crosses over at about `inner_rad_s`, the travel loop at half of it.
     """
     outer_rad_s = inner_rad_s / 2.0
     pitch_kp = (0.5 * inner_rad_s**2 - 0.5 * nominal.tilt_A[2, 0]) / nominal.pitch_gain
@@ -327,11 +325,10 @@ def _check_lift(rig: Rig, hover_V: float) -> None:
 
 
 def rig_parameters(rig: Rig) -> dict[str, float]:
-    """Return the parameters of the board that follow from the rig alone.
-
-    Counts per revolution are included only for encoders whose direction the rig file states. The sign of the
-    others depends on their wiring, and is stored on the board, so that a file of gains must not change it.
-    """
+    """Return the parameters of the board that follow from the rig alone."""
+    # Counts per revolution are included only for encoders whose direction the rig file states. The sign of
+    # the others depends on their wiring, and is stored on the board, so that a file of gains must not change
+    # it.
     encoders = zip(encoder_parameters(rig).items(), direction_is_known(rig), strict=True)
     counts_per_rev = {name: value for (name, value), is_known in encoders if is_known}
     supply_V = rig["supply"].value
@@ -356,21 +353,15 @@ def _law_parameters(law: CascadeGains) -> dict[str, float]:
 
 
 def travel_motion_deg(gain: float) -> float:
-    """Return the tilt from which on the board expects travel to move [deg].
-
-    On a rig with the travel gain `gain` [1/s^2], this tilt gives the same acceleration as the default tilt on
-    the default rig.
-    """
+    """Return the tilt from which on the board expects travel to move [deg]."""
     default_acceleration = _PARAMETERS["travel_motion_deg"].default * _PARAMETERS["travel_gain"].default
     return max(default_acceleration / gain, _PARAMETERS["travel_motion_deg"].min)
 
 
 def _largest_differential_V(rig: Rig, hover_V: float) -> float:
-    """Compute the largest difference of the voltages at which their sum still holds the arm [V].
-
-    Beyond the hover voltage, one rotor stops and the other lifts the arm. Beyond the reserve of the stronger
-    motor, the arm sinks.
-    """
+    """Compute the largest difference of the voltages at which their sum still holds the arm [V]."""
+    # Beyond the hover voltage, one rotor stops and the other lifts the arm. Beyond the reserve of the
+    # stronger motor, the arm sinks.
     return max(min(hover_V, _lift_max_V(rig) - hover_V), 0.1 * hover_V)
 
 
@@ -395,11 +386,11 @@ _OTHER_LAGS_s: Final = 0.03
 
 
 def _initial_crossover_rad_s(plants: Sequence[LinearPlant]) -> float:
-    """Choose a crossover frequency for a double integrator with the longest lag, by the symmetrical optimum.
-
-    The result is only the start of a minimisation, so that the factor of 2.2 is not critical; the textbook
-    has 2.
+    """Choose a crossover frequency for a double integrator with the longest lag, by the symmetrical
+    optimum.
     """
+    # The result is only the start of a minimisation, so that the factor of 2.2 is not critical; the textbook
+    # has 2.
     longest_lag_s = max(plant.lag_s for plant in plants) + _OTHER_LAGS_s
     return 1.0 / (2.2 * longest_lag_s)
 
@@ -412,10 +403,8 @@ def _slowest_pole_1_s(closed: Floats) -> float:
 
 
 def _log_cost(squares: Floats, nominal_count: int) -> float:
-    """Combine the mean squared errors of all plants into one cost. Shapes: `squares` (plants,).
-
-    The cost is the mean of two logarithms: that of the nominal plants' mean, and that of the corners' mean.
-    """
+    """Combine the mean squared errors of all plants into one cost. Shapes: `squares` (plants,)."""
+    # The cost is the mean of two logarithms: that of the nominal plants' mean, and that of the corners' mean.
     return float(0.5 * (np.log(squares[:nominal_count].mean()) + np.log(squares[nominal_count:].mean())))
 
 
@@ -427,10 +416,9 @@ def _bound_penalty(peak: float, bound: float) -> float:
 def _minimise_positive(cost: Callable[[Floats], float], start: Floats) -> Floats:
     """Find the positive gains with the lowest cost, by the Nelder-Mead method in their logarithms. Shapes:
     `start` (k,).
-
-    The search is restarted with a new simplex, because a small simplex can get stuck. It ends when the cost
-    falls by less than 0.01, which means that errors fall by less than 0.5 %.
     """
+    # The search is restarted with a new simplex, because a small simplex can get stuck. It ends when the cost
+    # falls by less than 0.01, which means that errors fall by less than 0.5 %.
     from scipy.optimize import minimize
 
     best, best_cost = np.log(start), np.inf

@@ -223,10 +223,7 @@ def linear_plant(
 
 @functools.lru_cache(maxsize=32)
 def _model_with_lag(model: type[Model], lag_s: float, linear: tuple[Effect, ...]) -> Model:
-    """Return a model with the `linear` effects and a rotor lag of `lag_s` [s].
-
-    The lag is that of the rotor speed if the effects contain one, otherwise that of the thrust.
-    """
+    """Return a model with the `linear` effects and a rotor lag of `lag_s` [s]."""
     speed_lag = next((effect for effect in linear if isinstance(effect, RotorSpeedLag)), None)
     lag = RotorLag(lag_s) if speed_lag is None else speed_lag.with_lag(lag_s)
     return model((lag, *(effect for effect in linear if effect is not speed_lag)))
@@ -235,10 +232,8 @@ def _model_with_lag(model: type[Model], lag_s: float, linear: tuple[Effect, ...]
 def spread_plants(
     rig: Rig, spread: Spread, *, model: type[Model] = MultibodyModel, loop_effects: LoopEffects | None = None
 ) -> Sequence[LinearPlant]:
-    """Linearise the nominal rig at every lag of the spread, then the corners of the spread at every lag.
-
-    Corners that cannot hover are left out: a counterweight 3 % heavier lifts some arms without any thrust.
-    """
+    """Linearise the nominal rig at every lag of the spread, then the corners of the spread at every lag."""
+    # Corners that cannot hover are left out: a counterweight 3 % heavier lifts some arms without any thrust.
     corners = itertools.product(
         spread.lag_s,
         (1.0 - spread.thrust, 1.0 + spread.thrust),
@@ -369,10 +364,8 @@ class Margin:
 
 
 def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
-    """Return the state matrix (6, 6) of the closed elevation loop, for a setpoint of zero.
-
-    The states are the plant's three, two of the rate filter, and the integral of minus the elevation.
-    """
+    """Return the state matrix (6, 6) of the closed elevation loop, for a setpoint of zero."""
+    # The states are the plant's three, two of the rate filter, and the integral of minus the elevation.
     closed = _with_rate_filters(plant.elevation_A, (0,), (pid,))
     output = _controller_output_row(closed.shape[0], 0, 3, pid)
     output[5] = pid.ki
@@ -382,11 +375,9 @@ def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
 
 
 def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
-    """Return the state matrix (11, 11) of the closed pitch and travel loops, for setpoints of zero.
-
-    The states are the plant's five, two of each rate filter with pitch first, and the integrals of the pitch
-    and the travel error. `pitch_hold` is that of `CascadeGains`.
-    """
+    """Return the state matrix (11, 11) of the closed pitch and travel loops, for setpoints of zero."""
+    # The states are the plant's five, two of each rate filter with pitch first, and the integrals of the
+    # pitch and the travel error. `pitch_hold` is that of `CascadeGains`.
     closed = _with_rate_filters(plant.tilt_A, (0, 1), (pitch, travel))
     closed[PITCH_INTEGRAL], closed[TRAVEL_INTEGRAL, 1] = _pitch_error_row(travel), -1.0
     closed[:5] += np.outer(plant.tilt_B, tilt_output(pitch, travel, pitch_hold))
@@ -407,10 +398,8 @@ def tilt_output(pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
 def open_loops(
     plant: LinearPlant, law: CascadeGains, frequency_rad_s: Floats = FREQUENCY_rad_s
 ) -> dict[str, ComplexArray]:
-    """Return the complex loop gain L of every loop in `LOOPS`, shape (n,). Shapes: `frequency_rad_s` (n,).
-
-    The sign convention is that of negative feedback: a Nyquist curve through -1 is marginally stable.
-    """
+    """Return the complex loop gain L of every loop in `LOOPS`, shape (n,). Shapes: `frequency_rad_s` (n,)."""
+    # The sign convention is that of negative feedback: a Nyquist curve through -1 is marginally stable.
     s = 1j * frequency_rad_s
     # The matrices approximate the delay of the voltages by additional lag; replace it by the exact delay.
     lag_s = max(plant.lag_s + plant.delay_s, _NO_LAG_s)
@@ -434,10 +423,7 @@ def open_loops(
 
 
 def peak_sensitivity(loop: ComplexArray) -> float:
-    """Return the peak sensitivity Ms, the maximum of 1 / |1 + L| over the loop gains L in `loop`.
-
-    It is the largest factor by which the closed loop amplifies a disturbance.
-    """
+    """Return the peak sensitivity Ms, the maximum of 1 / |1 + L| over the loop gains L in `loop`."""
     return float(np.max(1.0 / np.abs(1.0 + loop)))
 
 
@@ -485,10 +471,9 @@ def _sign_changes(
 ) -> dict[str, tuple[Floats, ComplexArray]]:
     """Find the frequencies at which a real function of each loop gain changes sign, by bisection. Shapes:
     `grid` (n,); returns (k,).
-
-    All loops are bisected together: `control.stability_margins` interpolates one point per call and takes a
-    hundred times as long.
     """
+    # All loops are bisected together: `control.stability_margins` interpolates one point per call and takes a
+    # hundred times as long.
     changes = {name: np.flatnonzero(np.diff(np.sign(value(loop)))) for name, loop in grid.items()}
     # One element per crossing: its interval of the grid, and the number of its loop.
     interval = np.concatenate(list(changes.values()))

@@ -164,8 +164,6 @@ class TravelStep:
     def _step_squares(self, error_deg: Floats) -> Floats:
         """Compute the weighted mean square of the travel error during the step, shape (plants,). Shapes:
         `error_deg` (times, plants).
-
-        The error and the overshoot after the setpoint has arrived have additional weights.
         """
         final_deg = error_deg[self.arrival_row :]
         squares = np.mean(error_deg**2, axis=0)
@@ -173,11 +171,9 @@ class TravelStep:
         return np.asarray(squares + _OVERSHOOT_WEIGHT * np.maximum(final_deg.max(axis=0), 0.0) ** 2)
 
     def _load_squares(self, plants: _DiscretePlants) -> Floats:
-        """Compute the weighted mean square of the travel error by the constant loads, shape (corners,).
-
-        The loads begin at time 0. The error counts from `_TRIM_TIME_s` on, when the integrators have
-        compensated most of it.
-        """
+        """Compute the weighted mean square of the travel error by the constant loads, shape (corners,)."""
+        # The loads begin at time 0. The error counts from `_TRIM_TIME_s` on, when the integrators have
+        # compensated most of it.
         nominal_count = count_nominal(self.plants)
         corners = _DiscretePlants(plants.transition[nominal_count:], plants.inputs[nominal_count:, :, 2:])
         trim_row = round(_TRIM_TIME_s / SIMULATION_STEP_s)
@@ -200,11 +196,9 @@ class TravelStep:
 
 
 def constant_loads_deg_s2(rig: Rig, spread: Spread) -> dict[int, tuple[float, float]]:
-    """Compute the constant accelerations by unequal rotors, on pitch, and by a torque, on travel.
-
-    A torque on travel that the rig file states acts in every flight, and has the weight of the final error. A
-    torque that is only possible has weight 1.
-    """
+    """Compute the constant accelerations by unequal rotors, on pitch, and by a torque, on travel."""
+    # A torque on travel that the rig file states acts in every flight, and has the weight of the final error.
+    # A torque that is only possible has weight 1.
     inertia = inertias_kg_m2({name: number.value for name, number in rig.items()})
     unbalance_Nm = spread.rotor * rig["M_f"].value * rig["g"].value * rig["L_h"].value
     stated_rad_s2 = abs(rig["torque_travel"].value) / inertia["J_psi"]

@@ -68,10 +68,8 @@ def try_gains(
     seed: int = 1,
     on_progress: Callable[[float], None] | None = None,
 ) -> Trial:
-    """Fly a set of parameters on a simulated rig, with the flight code and the link.
-
-    A flight that ends with a fault also gives a trial; its metrics state the fault as outcome.
-    """
+    """Fly a set of parameters on a simulated rig, with the flight code and the link."""
+    # A flight that ends with a fault also gives a trial; its metrics state the fault as outcome.
     plan = Plan.parse(PLAN, "plan of the trial", "trial")
     length_s = plan.duration_s + plan.start.settle_s
 

@@ -80,10 +80,7 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
 
 
 def figure_of_windows(before: Fit, after: Fit) -> Figure:
-    """Draw one panel per axis: the window of 2 s in which the baseline, `before`, has its largest error.
-
-    The extended model, `after`, is drawn in the same window.
-    """
+    """Draw one panel per axis: the window of 2 s in which the baseline, `before`, has its largest error."""
     from matplotlib.figure import Figure
 
     baseline, runs = trace(before), _free_runs(before, after)
@@ -128,10 +125,7 @@ def _free_runs(before: Fit, after: Fit) -> list[tuple[Trace, str, str]]:
 
 
 def figure_of_torque(diagnosis: Diagnosis) -> Figure:
-    """Draw the missing torque about each axis, over time and as a spectrum.
-
-    The baseline is compared with the model that has all named causes.
-    """
+    """Draw the missing torque about each axis, over time and as a spectrum."""
     from matplotlib.figure import Figure
 
     torques = [(_smoothed_torques(diagnosis.search.baseline.estimate), BEFORE, "baseline")]
@@ -201,10 +195,7 @@ def _draw_round(round_: Round, number: int, panel: Axes) -> None:
 
 
 def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
-    """Draw the acceleration that each cause contributes along the first fitted flight.
-
-    The result is None without causes.
-    """
+    """Draw the acceleration that each cause contributes along the first fitted flight."""
     from matplotlib.figure import Figure
 
     if not diagnosis.verdict.causes:
@@ -233,10 +224,7 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
 
 
 def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
-    """Draw the curves of spline terms, one panel each, with two standard errors.
-
-    Spline terms stand in the model for causes that the catalogue lacks.
-    """
+    """Draw the curves of spline terms, one panel each, with two standard errors."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 3.4))
@@ -274,10 +262,8 @@ def thinned(count: int, max_count: int) -> slice:
 
 
 def bin_means(quantity: Floats, value: Floats, bins: int) -> tuple[Floats, Floats]:
-    """Return the means of a `quantity` and of a dependent `value` in `bins` bins, shape (bins,) each.
-
-    The bins divide the rows, sorted by the quantity, into equal parts.
-    """
+    """Return the means of a `quantity` and of a dependent `value` in `bins` bins, shape (bins,) each."""
+    # The bins divide the rows, sorted by the quantity, into equal parts.
     bin_rows = np.array_split(np.argsort(quantity), min(bins, len(quantity)))
     mean_quantity = np.array([quantity[rows].mean() for rows in bin_rows])
     mean_value = np.array([value[rows].mean() for rows in bin_rows])
@@ -319,10 +305,7 @@ def _smoothed_torques(estimate: Estimate) -> SmoothedDisturbances:
 
 
 def _amplitude_spectrum(t_s: Floats, value: Floats) -> tuple[Floats, Floats]:
-    """Return frequencies [Hz] and the root of the power spectral density, by Welch's method.
-
-    The spectrum is the mean over segments of 1024 values that overlap by half.
-    """
+    """Return frequencies [Hz] and the root of the power spectral density, by Welch's method."""
     step_s = float(np.median(np.diff(t_s)))
     size = min(len(value), 1024)
     segments = [value[start : start + size] for start in range(0, len(value) - size + 1, size // 2)]
@@ -350,11 +333,9 @@ _MAX_DOTS: Final = 4000
 
 
 def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
-    """Draw the missing torques or angles of `terms` over the quantities that they depend on.
-
-    Each cause has a row. The left panel shows the missing values without the cause in the model, together
-    with the equation of the cause. The right panel shows the remaining values with the cause in the model.
-    """
+    """Draw the missing torques or angles of `terms` over the quantities that they depend on."""
+    # Each cause has a row. The left panel shows the missing values without the cause in the model, together
+    # with the equation of the cause. The right panel shows the remaining values with the cause in the model.
     from matplotlib.figure import Figure
 
     height = 4.1 * len(terms)
@@ -405,10 +386,7 @@ def _draw_missing_term(term: MissingTerm, before: Axes, after: Axes) -> None:
 
 
 def _part_of_largest_contribution(term: MissingTerm) -> MissingTerm:
-    """Return the `_LINES_s` of one flight in which a term contributes most.
-
-    `term` is drawn over time: its quantity is the time of each flight.
-    """
+    """Return the `_LINES_s` of one flight in which a term contributes most."""
     t_s = term.quantity
     # The flights follow each other, so time steps back where a new flight starts.
     ends = np.append(np.flatnonzero(np.diff(t_s) < 0.0) + 1, len(t_s))
@@ -444,10 +422,7 @@ def _draw_dots(panel: Axes, value: Floats, term: MissingTerm) -> None:
 def figure_of_prediction(
     before: Fit, after: Fit, first: str, outside_s: Sequence[tuple[float, float]] = ()
 ) -> Figure:
-    """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes.
-
-    A circle marks the start of a run, and a grey band the rounding of the encoder.
-    """
+    """Draw free runs of 2 s: the angle of an axis, and the errors of all three axes."""
     from matplotlib.figure import Figure
 
     baseline, extended = trace(before), trace(after)
@@ -491,10 +466,10 @@ def figure_of_prediction(
 def _draw_runs(
     panels: Sequence[Axes], run: Trace, excerpt: slice, axes: Sequence[int], color: str, label: str
 ) -> None:
-    """Draw the simulated angle of a model into the first panel, and the errors of its axes into the others.
-
-    `axes` are the axes of the error panels; the first of them is the axis of the angle.
+    """Draw the simulated angle of a model into the first panel, and the errors of its axes into the
+    others.
     """
+    # `axes` are the axes of the error panels; the first of them is the axis of the angle.
     angle_panel, error_panels = panels[0], panels[1:]
     for window in run.windows:
         if window.start < excerpt.start or window.stop > excerpt.stop:
@@ -527,11 +502,9 @@ def _shade_extrapolations(
 
 
 def _rows_with_largest_error(run: Trace, axis: int) -> slice:
-    """Return the rows of consecutive windows in which the error of an axis is largest.
-
-    The windows have a total duration of at most `_EXCERPT_s`; if a single window is longer, the first one is
-    returned.
-    """
+    """Return the rows of consecutive windows in which the error of an axis is largest."""
+    # The windows have a total duration of at most `_EXCERPT_s`; if a single window is longer, the first one
+    # is returned.
     candidates = []
     for first in run.windows:
         for last in run.windows:
@@ -608,10 +581,7 @@ _MEANS: Final = 24
 
 
 def figure_of_equation(proposed: ProposedTerm) -> Figure:
-    """Draw the equation of a `proposed` term along a flight, together with the missing torque.
-
-    The panels show both over time, against each other, and over the first quantity of the equation.
-    """
+    """Draw the equation of a `proposed` term along a flight, together with the missing torque."""
     from matplotlib.figure import Figure
 
     trace = proposed.trace
@@ -721,10 +691,7 @@ def _regions_row(
 
 
 def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
-    """Draw the torque that the model after the extension lacks, over the first quantity of `regions`.
-
-    The torque is that about the axis of the regions.
-    """
+    """Draw the torque that the model after the extension lacks, over the first quantity of `regions`."""
     from matplotlib.figure import Figure
 
     flights = regions.after.flights

@@ -329,9 +329,8 @@ def calibration_tables(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]
 
 
 def regions_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str, Any]:
-    """Describe in words and in a figure, which `save_figure` writes, where the models fail about each axis.
-
-    The axis of the verdict is the first.
+    """Describe in words and in a figure, which `save_figure` writes, where the models fail about each
+    axis.
     """
     first = diagnosis.failing_regions
     all_regions = [first, *(diagnosis.failing_regions_about(axis) for axis in AXES if axis != first.axis)]
@@ -381,10 +380,7 @@ def _regions_note(diagnosis: Diagnosis, test: RegionTest) -> str:
 
 
 def unknown_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | None:
-    """Draw the missing torque over its quantity, if neither a curve nor an equation describes it.
-
-    `save_figure` writes the figure. The result is None without such a torque.
-    """
+    """Draw the missing torque over its quantity, if neither a curve nor an equation describes it."""
     if diagnosis.missing is None or diagnosis.verdict.unlisted or diagnosis.proposal is not None:
         return None
     if (diagnosis.failing_regions.axis, diagnosis.failing_regions.x) != diagnosis.missing:
@@ -468,10 +464,7 @@ def write_report(
     drawing: Drawing | None = None,
     shares: ErrorShares | None = None,
 ) -> Path:
-    """Write a report: index.html, result.json, figures as PNG, and the effect file of a proposed equation.
-
-    `shares` are the parts of the forecast error.
-    """
+    """Write a report: index.html, result.json, figures as PNG, and the effect file of a proposed equation."""
     drawing = drawing or Drawing()
     numbers = to_json(diagnosis, shares)
     folder = folder_with(numbers, folder)
@@ -549,10 +542,7 @@ def write_report(
 
 
 def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
-    """Write the proposed equation of a `diagnosis` as effect file ``proposed.py``; return the file.
-
-    The `folder` is made if it is missing. The diagnosis must have a proposed equation.
-    """
+    """Write the proposed equation of a `diagnosis` as effect file ``proposed.py``; return the file."""
     assert diagnosis.proposed_term is not None
     labels = ", ".join(record.label for record in diagnosis.assessment.after.fit.problem.records)
     head = f"Equation proposed by heli-host diagnose from {labels} for what no effect explains."
@@ -563,10 +553,7 @@ def write_effect_file(diagnosis: Diagnosis, folder: str | Path) -> Path:
 
 
 def write_insufficient_excitation(result: InsufficientExcitation, folder: str | Path) -> Path:
-    """Write the page and result.json of a `result` without excitation; return the page.
-
-    The `folder` is made if it is missing.
-    """
+    """Write the page and result.json of a `result` without excitation; return the page."""
     numbers = to_json(result)
     return write_page(
         folder_with(numbers, folder),
@@ -665,10 +652,7 @@ def _equation_section(diagnosis: Diagnosis, save_figure: SaveFigure) -> dict[str
 
 
 def _unexplained_section(missing: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Return the section about the dependence that no effect explains; None without one.
-
-    It has sentences, dependences and error reductions.
-    """
+    """Return the section about the dependence that no effect explains; None without one."""
     if missing is None:
         return None
     return {

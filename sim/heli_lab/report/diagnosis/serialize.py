@@ -112,11 +112,9 @@ def _insufficient_excitation_json(result: InsufficientExcitation) -> dict[str, A
 
 
 def rig_numbers(result: Diagnosis) -> dict[str, Any]:
-    """Write the parameters of the extended rig.
-
-    ``numbers`` are the parameters that all flights share, with their priors. ``constants`` are the means of
-    those that differ from flight to flight, such as encoder zeros.
-    """
+    """Write the parameters of the extended rig."""
+    # ``numbers`` are the parameters that all flights share, with their priors. ``constants`` are the means of
+    # those that differ from flight to flight, such as encoder zeros.
     estimate = result.replication.model.estimate
     std = estimate.covariance.diagonal() ** 0.5
     rig = result.rig("extended")

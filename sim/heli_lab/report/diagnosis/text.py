@@ -66,10 +66,7 @@ class CauseEntry:
         return f"{self.family.sentence}{unclear}"
 
     def statement(self, certain: bool = True) -> str:
-        """Write the sentence as a fact, or with "perhaps" and the confidence.
-
-        It is a fact if the verdict is `certain` and the cause is.
-        """
+        """Write the sentence as a fact, or with "perhaps" and the confidence."""
         if certain and self.is_certain:
             return self.sentence
         return f"perhaps {self.sentence} (confidence {self.confidence:.2f})"
@@ -136,10 +133,8 @@ def _effect_causes(result: Diagnosis) -> list[CauseEntry]:
 
 
 def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
-    """List significant effects that are too small to matter, each as a JSON object.
-
-    ``change_counts`` is by how many encoder counts an effect changes the open-loop prediction.
-    """
+    """List significant effects that are too small to matter, each as a JSON object."""
+    # ``change_counts`` is by how many encoder counts an effect changes the open-loop prediction.
     return [
         {
             "effect": effect.cause.effect,
@@ -227,10 +222,7 @@ def _absent_term_causes(result: Diagnosis) -> list[CauseEntry]:
 
 
 def unexplained(result: Diagnosis) -> dict[str, Any] | None:
-    """Describe the dependence that no effect explains; None if everything is explained.
-
-    The description has the axis, the dependences, and the share of the variance.
-    """
+    """Describe the dependence that no effect explains; None if everything is explained."""
     if result.missing is None:
         return None
     axis, quantity = result.missing
@@ -263,11 +255,7 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
 
 
 def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
-    """Write the disturbances about each axis.
-
-    They have size and correlation time of the fast part, size of the slow part, a log-likelihood ratio, and
-    kicks.
-    """
+    """Write the disturbances about each axis."""
     estimated, none = analysis.disturbances, Kicks(0, 0.0)
     return {
         axis: {
@@ -283,11 +271,9 @@ def disturbances(analysis: ResidualAnalysis) -> dict[str, dict[str, float]]:
 
 
 def thrust_noise(analysis: ResidualAnalysis) -> dict[str, dict[str, float]] | None:
-    """Write how much the thrusts vary at random; None if torques suffice as disturbances.
-
-    ``supply`` is a relative variation of both thrusts together, ``difference`` one of the rotors against
-    each other.
-    """
+    """Write how much the thrusts vary at random; None if torques suffice as disturbances."""
+    # ``supply`` is a relative variation of both thrusts together, ``difference`` one of the rotors against
+    # each other.
     estimated = analysis.disturbances
     if not estimated.gains:
         return None

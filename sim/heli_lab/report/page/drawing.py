@@ -31,10 +31,9 @@ _LENGTH: Final = struct.Struct("<q")
 
 
 class Picture:
-    """A figure that is, or will be, rendered into a PNG file with 110 dots per inch.
+    """A figure that is, or will be, rendered into a PNG file with 110 dots per inch."""
 
-    ``str(picture)`` waits for the image and returns it as a data URL, so that a page needs no other file.
-    """
+    # ``str(picture)`` waits for the image and returns it as a data URL, so that a page needs no other file.
 
     def __init__(self, drawing: Drawing, figure: Figure, path: Path) -> None:
         check_replaceable(path)

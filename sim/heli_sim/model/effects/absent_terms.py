@@ -25,10 +25,7 @@ class RemovedTerm(Effect):
 
 
 class RemovedDifferentialTravel(Effect):
-    """A share of the paper's term P_18 is removed: (F_f - F_b) L_h sin(pitch).
-
-    The equations of point masses do not contain this term.
-    """
+    """A share of the paper's term P_18 is removed: (F_f - F_b) L_h sin(pitch)."""
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:

@@ -14,13 +14,12 @@ from heli_sim.rig.schema import Prior
 
 # A rotor that moves along its own axis meets its air faster, and gives less thrust.
 class InflowDamping(Effect):
-    """Each rotor loses thrust in proportion to its own speed along its thrust axis.
+    """Each rotor loses thrust in proportion to its own speed along its thrust axis."""
 
-    If the speed of the propeller follows the voltage, the loss grows with the thrust (`loaded` = 1). If the
-    speed is nearly constant, the loss is the same at any thrust (`loaded` = 0). Travel at a pitch angle also
-    moves the rotors along their axes, if the air in the room is at rest (`still` = 1). In a small room the
-    air soon turns with the rig, so that travel has no effect (`still` = 0).
-    """
+    # If the speed of the propeller follows the voltage, the loss grows with the thrust (`loaded` = 1). If the
+    # speed is nearly constant, the loss is the same at any thrust (`loaded` = 0). Travel at a pitch angle
+    # also moves the rotors along their axes, if the air in the room is at rest (`still` = 1). In a small room
+    # the air soon turns with the rig, so that travel has no effect (`still` = 0).
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
@@ -77,11 +76,10 @@ INFLOW_DAMPING: Final = EffectSpec(
 
 # Near the table a rotor gives more thrust, because its wake cannot leave freely.
 class GroundEffect(Effect):
-    """The thrust of each rotor grows by a share that decays exponentially with the height above the table.
+    """The thrust of each rotor grows by a share that decays exponentially with the height above the table."""
 
-    For small rotors, the height is that of the rotor itself, which changes with pitch (`own` = 1). If both
-    rotors share one cushion of air, it is the height of the arm's end (`own` = 0).
-    """
+    # For small rotors, the height is that of the rotor itself, which changes with pitch (`own` = 1). If both
+    # rotors share one cushion of air, it is the height of the arm's end (`own` = 0).
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:
@@ -132,12 +130,11 @@ GROUND_EFFECT: Final = EffectSpec(
 
 # The rotor that leads in travel meets undisturbed air, and gives more thrust than the one in its wake.
 class EdgewiseFlow(Effect):
-    """The leading rotor gains thrust and the other one loses it, in proportion to the edgewise speed.
+    """The leading rotor gains thrust and the other one loses it, in proportion to the edgewise speed."""
 
-    A rotor that moves in its own plane takes in more air at its leading edge, and so does a pair of rotors.
-    The resulting torque raises the leading side. It opposes the pitch that drives travel, and so stabilises
-    the rig.
-    """
+    # A rotor that moves in its own plane takes in more air at its leading edge, and so does a pair of rotors.
+    # The resulting torque raises the leading side. It opposes the pitch that drives travel, and so stabilises
+    # the rig.
 
     @override
     def thrust_N(self, at: Operands, thrust_N: ca.SX) -> ca.SX:

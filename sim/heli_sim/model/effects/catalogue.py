@@ -255,11 +255,9 @@ def effects_with(rig: Rig, texts: Sequence[str], extra: Sequence[str | Path] = (
 
 
 def _stated_priors(kind: EffectSpec, numbers: Mapping[str, Number]) -> dict[str, Prior]:
-    """Return priors, by full name, for the parameters whose tolerance a rig file states.
-
-    A prior is normal within the effect's bounds. Its standard deviation is half the tolerance, as for the
-    parameters of the rig.
-    """
+    """Return priors, by full name, for the parameters whose tolerance a rig file states."""
+    # A prior is normal within the effect's bounds. Its standard deviation is half the tolerance, as for the
+    # parameters of the rig.
     priors = {}
     for parameter in kind.numbers:
         name, number = kind.full(parameter.name), numbers.get(parameter.name)
@@ -333,10 +331,8 @@ def _proportional_sizes(kind: EffectSpec, value: str) -> dict[str, str]:
 
 
 def _parse_values(kind: EffectSpec, values_text: str, text: str) -> dict[str, float]:
-    """Read the text after the equals sign, `values_text`; `text` is the whole text, for messages.
-
-    The text is one value, with ``@`` and a time for an event, or pairs ``name:value`` separated by commas.
-    """
+    """Read the text after the equals sign, `values_text`; `text` is the whole text, for messages."""
+    # The text is one value, with ``@`` and a time for an event, or pairs ``name:value`` separated by commas.
     if ":" not in values_text:
         value, at_sign, moment = values_text.partition("@")
         texts_by_name = {kind.numbers[0].name: value, **_proportional_sizes(kind, value)}

@@ -16,11 +16,10 @@ from heli_sim.rig.schema import Prior, Quantity
 
 # Play between an axis and its encoder, for example because of a worn coupling or a gear.
 class Backlash(Effect):
-    """The encoder's shaft does not move until the axis has crossed the play and pushes it.
+    """The encoder's shaft does not move until the axis has crossed the play and pushes it."""
 
-    The rotors are mounted on the arm, so that no drive train has play. The play is between axis and encoder,
-    and changes only the measured angle.
-    """
+    # The rotors are mounted on the arm, so that no drive train has play. The play is between axis and
+    # encoder, and changes only the measured angle.
 
     @override
     def reset_map(self, at: Operands) -> ca.SX:
@@ -56,11 +55,10 @@ class Backlash(Effect):
 
 
 class BacklashOfKnownSide(Effect):
-    """Backlash along a measured flight: the encoder's shaft lags behind its moving axis by half the play.
+    """Backlash along a measured flight: the encoder's shaft lags behind its moving axis by half the play."""
 
-    Unlike the play operator of `Backlash`, this form is linear in the play. The measured angles are already
-    those of the shaft; the play operator would apply the play to them a second time.
-    """
+    # Unlike the play operator of `Backlash`, this form is linear in the play. The measured angles are already
+    # those of the shaft; the play operator would apply the play to them a second time.
 
     @override
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:

@@ -14,11 +14,10 @@ from heli_sim.rig.schema import Prior, Quantity
 
 # Reaction torque of the rotors: the air that a rotor turns one way turns the rig the other way.
 class RotorReactionTorque(Effect):
-    """Torque of each rotor about its thrust axis, in proportion to its thrust.
+    """Torque of each rotor about its thrust axis, in proportion to its thrust."""
 
-    Each rotor has its own ratio. The signs are equal if both rotors turn the same way, and opposite
-    otherwise.
-    """
+    # Each rotor has its own ratio. The signs are equal if both rotors turn the same way, and opposite
+    # otherwise.
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
@@ -74,12 +73,11 @@ ROTOR_REACTION_TORQUE: Final = EffectSpec(
 
 # Spinning rotors are gyroscopes: a rotation about one axis causes a torque about another axis.
 class GyroscopicTorque(Effect):
-    """Angular momentum of the rotors along the short arm's upright, in proportion to their thrust.
+    """Angular momentum of the rotors along the short arm's upright, in proportion to their thrust."""
 
-    The momenta of two rotors that turn in opposite directions cancel. Two rotors that turn in the same
-    direction have 0.03 to 0.06 N m s on a rig with 0.2 m propellers. The torque does no work: it moves energy
-    from one axis to another.
-    """
+    # The momenta of two rotors that turn in opposite directions cancel. Two rotors that turn in the same
+    # direction have 0.03 to 0.06 N m s on a rig with 0.2 m propellers. The torque does no work: it moves
+    # energy from one axis to another.
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
@@ -87,10 +85,8 @@ class GyroscopicTorque(Effect):
 
 
 def wheel_torque_Nm(at: Operands, momentum_Nms: ca.SX) -> ca.SX:
-    """Return the gyroscopic torque of a wheel on the short arm about the three axes, shape (3, 1).
-
-    It is n x omega H, with the angular velocity omega of the short arm and its thrust direction n.
-    """
+    """Return the gyroscopic torque of a wheel on the short arm about the three axes, shape (3, 1)."""
+    # It is n x omega H, with the angular velocity omega of the short arm and its thrust direction n.
     state = at.state
     cos_elevation, sin_elevation = ca.cos(state["elevation_rad"]), ca.sin(state["elevation_rad"])
     cos_pitch, sin_pitch = ca.cos(state["pitch_rad"]), ca.sin(state["pitch_rad"])
@@ -141,13 +137,12 @@ GYROSCOPIC_TORQUE: Final = EffectSpec(
 
 # Rotors are flywheels: their angular momentum is proportional to their speed, which lags the voltage.
 class Flywheel(Effect):
-    """Angular momentum of the rotors along the thrust direction, in proportion to the sum of their speeds.
+    """Angular momentum of the rotors along the thrust direction, in proportion to the sum of their speeds."""
 
-    In `gyroscopic_torque`, the momentum is proportional to the thrust instead. Thrust is zero in the dead
-    zone and grows with the square of the speed, so it varies more than the momentum. A speed is expressed as
-    the voltage that holds it. The torque that accelerates the rotors also turns the rig the other way;
-    `spin_up` is its share.
-    """
+    # In `gyroscopic_torque`, the momentum is proportional to the thrust instead. Thrust is zero in the dead
+    # zone and grows with the square of the speed, so it varies more than the momentum. A speed is expressed
+    # as the voltage that holds it. The torque that accelerates the rotors also turns the rig the other way;
+    # `spin_up` is its share.
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:

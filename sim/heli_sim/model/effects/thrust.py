@@ -101,10 +101,7 @@ def remaining_share(time_s: ca.SX, per_s: ca.SX, bend_per_s: ca.SX) -> ca.SX:
 
 
 def bends_per_s(seconds: float) -> tuple[float, ...]:
-    """Return the rates of levelling off at which a fit starts [1/s].
-
-    They are 0, and 1 over twice, once and a third of the length of the flight, `seconds`.
-    """
+    """Return the rates of levelling off at which a fit starts [1/s]."""
     return (0.0, 0.5 / seconds, 1.0 / seconds, 3.0 / seconds)
 
 
@@ -213,11 +210,10 @@ THRUST_STEPS: Final = (_thrust_step("front"), _thrust_step("back"))
 
 # The voltage of the supply falls under load, so that each motor gets less when the other is driven.
 class SupplySag(Effect):
-    """Both motors lose voltage in proportion to the load, which is the sum of their voltages.
+    """Both motors lose voltage in proportion to the load, which is the sum of their voltages."""
 
-    If switching drivers share the supply, each motor loses a share of its own voltage (`line` = 0). If the
-    motors share a supply line with a resistance, both lose the same voltage (`line` = 1).
-    """
+    # If switching drivers share the supply, each motor loses a share of its own voltage (`line` = 0). If the
+    # motors share a supply line with a resistance, both lose the same voltage (`line` = 1).
 
     @override
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:
@@ -263,10 +259,10 @@ SUPPLY_SAG: Final = EffectSpec(
 class SupplyFade(Effect):
     """Both motors lose a share of their voltage that grows with time, in a straight line or towards a lower
     level.
-
-    The dead zone stays where it is, so a share lost here costs the more of a thrust the smaller it is;
-    `thrust_fade` takes the same share of any.
     """
+
+    # The dead zone stays where it is, so a share lost here costs the more of a thrust the smaller it is;
+    # `thrust_fade` takes the same share of any.
 
     @override
     def voltage_V(self, at: Operands, volts_V: ca.SX) -> ca.SX:

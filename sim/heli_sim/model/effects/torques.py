@@ -27,12 +27,13 @@ disturbances is estimated a tenth too large."""
 
 
 class CoulombFriction(Effect):
-    """The torque that would bring the axis to rest within a short time, limited to the size of dry friction.
-
-    Friction with the sign of the speed could neither be integrated nor differentiated. A smoothed sign would
-    let the axis creep under a load that friction should hold. This form holds the axis, and its steepness,
-    1 over the time, is the same for a heavy and a light axis.
+    """The torque that would bring the axis to rest within a short time, limited to the size of dry
+    friction.
     """
+
+    # Friction with the sign of the speed could neither be integrated nor differentiated. A smoothed sign
+    # would let the axis creep under a load that friction should hold. This form holds the axis, and its
+    # steepness, 1 over the time, is the same for a heavy and a light axis.
 
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
@@ -57,12 +58,11 @@ class CoulombFriction(Effect):
 
 
 class CoulombFrictionOfMeasuredRate(CoulombFriction):
-    """Coulomb friction along a measured flight: its mean over the uncertain rate of the axis.
+    """Coulomb friction along a measured flight: its mean over the uncertain rate of the axis."""
 
-    Such a mean is a describing function (Gelb and Vander Velde 1968). Near standstill the encoders do not
-    show in which direction the axis creeps, so the mean friction is smaller than the full one. A rate of
-    exactly zero marks an axis at rest, whose friction is not averaged.
-    """
+    # Such a mean is a describing function (Gelb and Vander Velde 1968). Near standstill the encoders do not
+    # show in which direction the axis creeps, so the mean friction is smaller than the full one. A rate of
+    # exactly zero marks an axis at rest, whose friction is not averaged.
 
     @override
     def friction_Nm(self, at: Operands, acceleration_rad_s2: ca.SX, inertia_kg_m2: ca.SX) -> ca.SX:
@@ -179,11 +179,10 @@ CABLE_SPRINGS: Final = (_cable_spring("elevation"), _cable_spring("travel"))
 
 # The travel axis is not vertical, so that gravity turns travel towards the low side.
 class AxisTilt(Effect):
-    """Gravity of all masses, if the true vertical leans in the frame of the rig.
+    """Gravity of all masses, if the true vertical leans in the frame of the rig."""
 
-    The upward vertical leans by `x_rad` towards the direction of the long arm at travel 0, and by `y_rad`
-    towards its direction after a quarter turn of positive travel.
-    """
+    # The upward vertical leans by `x_rad` towards the direction of the long arm at travel 0, and by `y_rad`
+    # towards its direction after a quarter turn of positive travel.
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
@@ -310,10 +309,7 @@ class PeriodicTorque(Effect):
 
 
 def _frequencies_Hz(seconds: float) -> tuple[float, ...]:
-    """Return the frequencies at which a fit starts.
-
-    Their spacing is half the difference that a flight of `seconds` can resolve.
-    """
+    """Return the frequencies at which a fit starts."""
     return tuple(np.arange(0.05, _HIGHEST_Hz, 0.5 / seconds).tolist())
 
 
@@ -350,11 +346,10 @@ PERIODIC_TORQUES: Final = tuple(
 
 # Gusts: a random torque with a size and a correlation time.
 class RandomTorque(Effect):
-    """Ornstein-Uhlenbeck process: white noise through a first-order lag.
+    """Ornstein-Uhlenbeck process: white noise through a first-order lag."""
 
-    A simulation draws the noise from its seed. Identification cannot know the noise and uses the mean of the
-    process, which decays from its value at the start of a window.
-    """
+    # A simulation draws the noise from its seed. Identification cannot know the noise and uses the mean of
+    # the process, which decays from its value at the start of a window.
 
     @override
     def torque_Nm(self, at: Operands) -> ca.SX:
