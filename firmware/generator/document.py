@@ -28,9 +28,9 @@ COBS( protocol u8 = {protocol} | message id u8 | sequence u8 | payload | crc u32
 
 - **COBS** (consistent overhead byte stuffing) removes every zero from the frame, so a zero always marks its end. A receiver that joins in the
   middle, or loses bytes, is synchronised again at the next zero.
-- **sequence** counts the frames of one direction, modulo 256. A gap is a loss; both ends count it.
-- **crc** is a cyclic redundancy check over everything before it: CRC-32 (IEEE 802.3, reflected, as zlib's `crc32`). A single flipped bit in a COBS
-  code byte moves several bytes, and frames above 48 bytes are common. A 16-bit check would let one of 65,536 such frames pass.
+- **sequence** counts the frames of one direction, modulo 256. A gap means that frames were lost; host and board count these losses.
+- **crc** is a cyclic redundancy check over everything before it: CRC-32 (IEEE 802.3, reflected, as zlib's `crc32`). A single flipped bit can
+  move several bytes of a frame, which a 16-bit check would miss too often.
 - **payload** has at most {max_command_payload} bytes towards the board, and {max_telemetry_payload} bytes from it.
 
 ## Commands
@@ -38,8 +38,8 @@ COBS( protocol u8 = {protocol} | message id u8 | sequence u8 | payload | crc u32
 The board answers each command with exactly one reply, which repeats the `request` number of the command. The host sends one command at a time. It
 repeats the command, with the same number, until the reply comes.
 
-The board remembers the number and the reply of the last command. It answers a repeated command from memory, and does not execute it again. So a
-command takes effect exactly once, even if the command or its reply is lost. `hello` with a new session number clears this memory.
+The board remembers the number and the reply of the last command. It answers a repeated command from memory, and does not execute it again. A
+command therefore takes effect exactly once, even if the command or its reply is lost. `hello` with a new session number clears this memory.
 
 Streams (`setpoint`, `voltages`) have no reply; the latest value counts.
 

@@ -85,10 +85,10 @@ In a sum of products, one word per term follows the instruction:
 | 31 | 1 subtracts the product |
 | 17 to 9, 8 to 0 | factors |
 
-**Cells** contain the {inputs} inputs, then constants, parameters and states, then the results of instructions. An instruction may only write a result, and
-only read cells before it. A new state may not come from the cell of a state, because that cell may have changed.
+**Cells** contain the {inputs} inputs, then constants, parameters and states, then the results of instructions. An instruction writes one of these results,
+and reads only cells before it. The output of a new state must not be the cell of a state, because that cell may have changed.
 
-**Arithmetic** rounds to nearest, ties to even, like IEEE 754 single precision. A result below its normal numbers is 0. The products of
+**Arithmetic** rounds to nearest, ties to even, like IEEE 754 single precision. A result that is too small for a normal number is 0. The products of
 a sum are added with an error of at most 2^-30 of the largest product, and the sum is rounded once. Host and board use the same integer
 arithmetic (`firmware/core/law`), so a tape gives the same bits everywhere.
 
@@ -105,8 +105,8 @@ arithmetic (`firmware/core/law`), so a tape gives the same bits everywhere.
 | each state | {state_cost}, in the last tick |
 | each signal | {signal_cost}, in the last tick |
 
-A call that costs more than {tick_cost} is spread over several ticks: at most {max_ticks}, and at most its divisor. Its inputs are those of the first of these
-ticks. Its outputs act from the last one on.
+A call that costs more than {tick_cost} takes several ticks: at most {max_ticks}, and at most its divisor. It reads its inputs in the first of these ticks. Its
+outputs act from the last tick on.
 """
 
 

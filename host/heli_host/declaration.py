@@ -64,15 +64,15 @@ class Axis(Name):
 class State(Name):
     """State of the supervisor, sent with every tick."""
 
-    IDLE = 0  # drivers disabled, motors off; the only state that may be configured freely
+    IDLE = 0  # drivers disabled, motors off; the only state in which every parameter may be set
     ARMED = 1  # drivers enabled at zero voltage, pre-flight checks passed
-    CLOSED_LOOP = 2  # the on-board control law flies the axes of the mask
-    OPEN_LOOP = 3  # fixed voltages plus excitation, no axis closed
-    STREAMED = 4  # voltages streamed by the host, each valid for a bounded time
+    CLOSED_LOOP = 2  # the board's control law controls the axes of the axis mask
+    OPEN_LOOP = 3  # constant voltages plus excitation; no control loop is closed
+    STREAMED = 4  # the host sends the motor voltages; each acts for a limited time only
     HOLD = 5  # no recent setpoint: the board hovers level in place
     LANDING = 6  # controlled descent to the table, then motors off
     FAULT = 7  # motors off; the fault stays until clear_fault
-    EMERGENCY_LANDING = 8  # descent after a fault without the axis whose reading is wrong: travel turns freely, the short arm hangs freely, or the lift of the last hover decreases steadily; then motors off, and the fault stays until clear_fault
+    EMERGENCY_LANDING = 8  # descent after a fault, without control of the axis whose reading is wrong; then motors off, and the fault stays until clear_fault
 
 
 class Result(Name):
@@ -89,31 +89,31 @@ class Result(Name):
     UNSAFE_NOW = 8  # this parameter may only be set while idle; detail is the parameter
     FLASH_FAILED = 9  # the parameter page could not be written and verified
     NO_HANDSHAKE = 10  # hello with a matching declaration must come first
-    HASH_MISMATCH = 11  # the two ends were built from different declarations
-    BAD_LAW = 12  # the law is refused; detail is the law_error, value what is wrong with it
+    HASH_MISMATCH = 11  # host and board were built from different declarations
+    BAD_LAW = 12  # the law is refused; detail is the law_error, and the meaning of value is listed there
 
 
 class LawError(Name):
-    """Reasons for refusing a law or a part of it. The comment of each reason states the meaning of ack.value."""
+    """Reasons for refusing a law or a part of it. The text of each reason states the meaning of ack.value."""
 
     NONE = 0  # nothing is wrong
     NOT_LOADED = 1  # no law is loaded; value 0
     FLYING = 2  # the loaded law flies, so it cannot be replaced; value 0
-    TOO_LONG = 3  # longer than an upload may be; value = largest number of words
+    TOO_LONG = 3  # the law is too long for an upload; value = largest number of words allowed
     WRONG_PART = 4  # a part beyond the end, or before law_begin; value = its first word
     INCOMPLETE = 5  # parts are missing; value = words received
     WRONG_HASH = 6  # the hash does not match the received words; value 0
-    WRONG_FORMAT = 7  # another version of the format, or counts that do not fit the length; value = words that the counts ask for
-    TOO_LARGE = 8  # more cells than there are; value = cells asked for
+    WRONG_FORMAT = 7  # another version of the format, or counts that contradict the length; value = number of words that follows from the counts
+    TOO_LARGE = 8  # the law needs more cells than there are; value = cells that it needs
     UNKNOWN_OPERATION = 9  # no such operation; value = place of the instruction
-    BAD_CELL = 10  # a cell that may not be written, or an output from beyond the cells; value = place of the instruction, or of the output behind the last
-    NOT_WRITTEN = 11  # a cell is read before it is written; value = place of the instruction, or of the output behind the last
-    BAD_NUMBER = 12  # a constant, a parameter or a first state that is not finite; value = its place among them
+    BAD_CELL = 10  # an instruction writes a forbidden cell, or an output names a cell that does not exist; value = place of the instruction; outputs count on after the last instruction
+    NOT_WRITTEN = 11  # a cell is read before it is written; value = place of the instruction; outputs count on after the last instruction
+    BAD_NUMBER = 12  # a constant, a parameter or an initial state is not finite; value = its place among these numbers
     BAD_DIVISOR = 13  # the tick rate is not a multiple of the law's rate; value = divisor
-    TOO_COSTLY = 14  # needs more ticks than its period has; value = ticks that it needs
-    NO_SUCH_PARAMETER = 15  # the law has fewer parameters; value = how many
-    BAD_SUM = 17  # a sum of products without terms, with too many, or beyond the end; value = place of the word
-    NOT_FLYING = 16  # all three loops of the board must be closed, and the arm in flight; value = state
+    TOO_COSTLY = 14  # a call of the law needs more ticks than there are until the next call; value = ticks that it needs
+    NO_SUCH_PARAMETER = 15  # the law has no parameter with this number; value = number of its parameters
+    BAD_SUM = 17  # a sum of products has no terms or too many, or its terms reach beyond the last word; value = place of the word
+    NOT_FLYING = 16  # a law may fly only in flight, while the board controls all three axes; value = state
 
 
 class LawState(Name):
@@ -150,17 +150,17 @@ class Reset(Name):
 
 
 class ParamsSource(Name):
-    """Where the parameters of this boot came from."""
+    """Origin of the parameters at this start of the board."""
 
-    DEFAULTS = 0  # no stored set: the declared defaults
+    DEFAULTS = 0  # the flash has no stored set, so the defaults are in force
     STORED = 1  # the newest valid copy in flash
     FALLBACK = 2  # the newest copy was damaged; the older valid copy is used
-    CORRUPT = 3  # both copies damaged or of another format: defaults, and arming is refused until a save
-    MIGRATED = 4  # the newest valid copy, saved under another schema of the parameters: known values kept, new parameters at their defaults; see params_origin
+    CORRUPT = 3  # both copies are damaged or have another format: the defaults are in force, and the board refuses to arm until parameters are saved
+    MIGRATED = 4  # the newest valid copy has another list of parameters: known values are kept, and new parameters have their defaults; see params_origin
 
 
 class Excitation(Name):
-    """Kinds of excitation generated on board and added to the motor voltages."""
+    """Kinds of excitation, which the board adds to the motor voltages."""
 
     NONE = 0  # no excitation
     STEP = 1  # constant amplitude for the duration
@@ -174,16 +174,16 @@ class Event(Name):
     """Kinds of event messages."""
 
     BOOT = 0  # first message after start; detail = reset cause, value = boot id
-    STATE = 1  # state changed; detail = new state, cause = the supervisor event that did it
-    FAULT = 2  # a fault tripped; detail = fault code, value = the offending quantity
-    SETPOINT_STALE = 3  # setpoints stopped coming; value = rate in Hz seen over the last second before
+    STATE = 1  # the state changed; detail = new state, cause = the trigger
+    FAULT = 2  # a fault occurred; detail = fault code, value = the quantity that exceeded its limit
+    SETPOINT_STALE = 3  # setpoints stopped; value = their rate in Hz in the last second before
     SETPOINT_FRESH = 4  # setpoints came back while holding
     PARAMS_SAVED = 5  # parameters written to flash; value = generation
     EXCITATION_END = 6  # excitation finished or was stopped; detail = kind
     SETPOINT_REJECTED = 7  # a streamed value was refused; detail = result code
     ZEROED = 8  # encoder zeros taken; detail = axis mask
-    LAW_ENGAGED = 9  # a law that came over the link flies; value = its divisor of the tick's rate
-    LAW_TAKEN_OVER = 10  # the board's own law took over from it; detail = takeover, value as said there
+    LAW_ENGAGED = 9  # an uploaded law began to fly; value = its divisor, the number of ticks from one call to the next
+    LAW_TAKEN_OVER = 10  # the board's own law took over from an uploaded law; detail = takeover, and the meaning of value is listed there
     TRAVEL_PROBE = 11  # the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg
 
 
@@ -193,12 +193,12 @@ class Probe(Name):
     NONE = 0  # nothing
     ASKED = 1  # the tilt begins
     COUNTS = 2  # the encoder counts
-    SILENT = 3  # it does not count, although the tilt must have turned the arm: travel_motionless
-    STOPPED = 4  # no answer: the state changed, or pitch did not follow far enough
+    SILENT = 3  # the encoder does not count, although the tilt must have turned the arm; the fault is travel_motionless
+    STOPPED = 4  # the check ended without a result, because the state changed or pitch did not tilt far enough
 
 
 class Trigger(Name):
-    """Event that changes the supervisor's state; state events and telemetry report it as the cause."""
+    """Event that changes the supervisor's state. State events and telemetry report it as the cause."""
 
     ARM = 0  # arm command
     STOP = 1  # stop command
@@ -233,7 +233,7 @@ class Flags(IntFlag):
     LINK_ALIVE = 8  # a valid host frame arrived within the hold time
     PITCH_LIMITED = 16  # the travel loop's pitch setpoint was limited
     OVERRUN = 32  # the tick before this one was late
-    LAW = 64  # the voltages are those of a law that came over the link
+    LAW = 64  # the voltages are those of an uploaded law
 
 
 class Fault(Name):
@@ -265,94 +265,94 @@ class Fault(Name):
     PARAMETERS_INVALID = 23  # the stored parameters are damaged or contradict each other
     PITCH_NOT_LEVEL = 24  # the short arm is not level
     ELEVATION_BELOW_TABLE = 25  # elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be
-    ELEVATION_STEP = 26  # elevation changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed
-    PITCH_STEP = 27  # pitch changed within 4 ms by more than the short arm can turn; until it is zeroed, nothing is armed
-    TRAVEL_STEP = 28  # travel changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed
+    ELEVATION_STEP = 26  # elevation changed within 4 ms by more than the arm can turn; the board does not arm until the axis is zeroed
+    PITCH_STEP = 27  # pitch changed within 4 ms by more than the short arm can turn; the board does not arm until the axis is zeroed
+    TRAVEL_STEP = 28  # travel changed within 4 ms by more than the arm can turn; the board does not arm until the axis is zeroed
     ELEVATION_REST = 29  # after landing, the arm rests without lift at another elevation than before take-off
     ELEVATION_SIGN = 33  # at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong
     PITCH_SIGN = 34  # pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down
     TRAVEL_SIGN = 35  # travel turned against the tilt: the sign of the travel encoder is wrong
-    WATCHDOG = 30  # the watchdog reset the board, because control tick or idle loop hung
-    HARD_FAULT = 31  # the processor faulted; bridges were switched off and the board reset
-    UNEXPECTED_INTERRUPT = 32  # an interrupt without a handler; bridges were switched off and the board reset
+    WATCHDOG = 30  # the watchdog restarted the board, because the control tick or the idle loop hung
+    HARD_FAULT = 31  # the processor reported an error; the board switched off the motor drivers and restarted
+    UNEXPECTED_INTERRUPT = 32  # an interrupt without a handler came; the board switched off the motor drivers and restarted
 
 
 class Param(Name):
     """Position of each parameter in the table."""
 
-    ELEVATION_COUNTS_PER_REV = 0  # count: elevation encoder counts per revolution, x4; a negative number reverses its direction
-    PITCH_COUNTS_PER_REV = 1  # count: pitch encoder counts per revolution, x4; a negative number reverses its direction
-    TRAVEL_COUNTS_PER_REV = 2  # count: travel encoder counts per revolution, x4; a negative number reverses its direction
-    ELEVATION_REST_DEG = 3  # deg: elevation when the arm rests on the table, so that level is zero
-    SUPPLY_V = 4  # V: supply voltage of the motor drivers, which full duty gives
-    MOTOR_MIN_V = 5  # V: lowest motor voltage; 0 never reverses a rotor
+    ELEVATION_COUNTS_PER_REV = 0  # count: counts of the elevation encoder per turn: four times its pulses; a negative number reverses its direction
+    PITCH_COUNTS_PER_REV = 1  # count: counts of the pitch encoder per turn: four times its pulses; a negative number reverses its direction
+    TRAVEL_COUNTS_PER_REV = 2  # count: counts of the travel encoder per turn: four times its pulses; a negative number reverses its direction
+    ELEVATION_REST_DEG = 3  # deg: elevation of the arm at rest on the table; level is 0
+    SUPPLY_V = 4  # V: supply voltage of the motor drivers; full duty gives this voltage
+    MOTOR_MIN_V = 5  # V: lowest motor voltage; with 0, no rotor is ever reversed
     MOTOR_MAX_V = 6  # V: highest motor voltage
-    MOTOR_FRONT_SIGN = 7  # : -1 swaps the front motor's leads in software
-    MOTOR_BACK_SIGN = 8  # : -1 swaps the back motor's leads in software
+    MOTOR_FRONT_SIGN = 7  # : -1 reverses the front motor, as if its leads were swapped
+    MOTOR_BACK_SIGN = 8  # : -1 reverses the back motor, as if its leads were swapped
     DEAD_ZONE_V = 9  # V: voltage below which a rotor gives no thrust (paper eq. 31); the control law adds it
     HOVER_V = 10  # V: sum of both voltages, above the dead zone, that holds the arm level
     HOVER_SLOPE = 11  # V/deg: change of hover_V with elevation: masses below the axis need more lift at a higher elevation
     ELEVATION_KP = 12  # V/deg: elevation proportional gain (paper Table 6: 0.5)
     ELEVATION_KI = 13  # V/(deg s): elevation integral gain (paper Table 6: 1)
     ELEVATION_KD = 14  # V s/deg: elevation derivative gain, on the measurement (paper Table 6: 0.1)
-    ELEVATION_RATE_FF = 15  # : share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only
-    ELEVATION_ACCELERATION_FF = 16  # V s2/deg: voltage sum per setpoint acceleration: inertia / (thrust gain x arm)
+    ELEVATION_RATE_FF = 15  # : share of the setpoint's rate that the derivative term uses; with 0, it uses the measured rate only
+    ELEVATION_ACCELERATION_FF = 16  # V s2/deg: sum of the voltages per acceleration of the elevation setpoint: inertia / (thrust gain x arm)
     PITCH_KP = 17  # V/deg: pitch proportional gain (paper Table 6: 0.66)
     PITCH_KI = 18  # V/(deg s): pitch integral gain (paper Table 6: 3)
     PITCH_KD = 19  # V s/deg: pitch derivative gain, on the measurement (paper Table 6: 0.1)
-    PITCH_HOLD_FF = 20  # V/deg: difference of the voltages per degree of pitch setpoint, against masses below the pitch axis
+    PITCH_HOLD_FF = 20  # V/deg: difference of the voltages per degree of pitch setpoint, which holds a tilt against the weight below the pitch axis
     TRAVEL_KP = 21  # deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
     TRAVEL_KI = 22  # deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
     TRAVEL_KD = 23  # deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
-    TRAVEL_RATE_FF = 24  # : share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only
-    TRAVEL_ACCELERATION_FF = 25  # deg s2/deg: pitch per setpoint acceleration: inertia / (hover thrust x arm)
+    TRAVEL_RATE_FF = 24  # : share of the setpoint's rate that the derivative term uses; with 0, it uses the measured rate only
+    TRAVEL_ACCELERATION_FF = 25  # deg s2/deg: pitch per acceleration of the travel setpoint: inertia / (hover thrust x arm)
     ELEVATION_INTEGRAL_MAX_V = 26  # V: bound of the elevation integrator
     PITCH_INTEGRAL_MAX_V = 27  # V: bound of the pitch integrator
     TRAVEL_INTEGRAL_MAX_DEG = 28  # deg: bound of the travel integrator
     ELEVATION_FILTER_HZ = 29  # Hz: cut-off of the elevation rate filter (two poles)
     PITCH_FILTER_HZ = 30  # Hz: cut-off of the pitch rate filter (two poles)
     TRAVEL_FILTER_HZ = 31  # Hz: cut-off of the travel rate filter (two poles)
-    PITCH_SETPOINT_MAX_DEG = 32  # deg: bound of the pitch setpoint, from the travel loop or the host
-    DIFFERENTIAL_MAX_V = 33  # V: bound of front minus back; pitch has priority in the mixer, so more would lift the arm
+    PITCH_SETPOINT_MAX_DEG = 32  # deg: largest pitch setpoint, from the travel loop or the host
+    DIFFERENTIAL_MAX_V = 33  # V: largest difference of front and back voltage; the mixer prefers pitch to lift, so a larger difference would lift the arm
     ELEVATION_SLEW_DEG_S = 34  # deg/s: fastest change of the elevation setpoint
     PITCH_SLEW_DEG_S = 35  # deg/s: fastest change of the pitch setpoint, from the travel loop or the host
     TRAVEL_SLEW_DEG_S = 36  # deg/s: fastest change of the travel setpoint
     ELEVATION_ACCELERATION_DEG_S2 = 37  # deg/s2: fastest change of the elevation setpoint's rate, which makes a step a smooth ramp
     TRAVEL_ACCELERATION_DEG_S2 = 38  # deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
-    BUMPLESS_S = 39  # s: time constant of the smooth change between modes
-    ELEVATION_MAX_DEG = 40  # deg: elevation above which the board lands without the encoder; setpoints are refused from 2 degrees below it
+    BUMPLESS_S = 39  # s: time constant of the smooth change from one control law or state to the next
+    ELEVATION_MAX_DEG = 40  # deg: limit of elevation, above which the board lands without this encoder; setpoints must be 2 degrees lower
     PITCH_MAX_DEG = 41  # deg: pitch beyond which the motors are cut
-    TRAVEL_MAX_DEG = 42  # deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
-    ELEVATION_RATE_MAX_DEG_S = 43  # deg/s: elevation rate beyond which the board lands without the encoder
+    TRAVEL_MAX_DEG = 42  # deg: limit of travel, beyond which the motors are cut; setpoints must stay 5 degrees inside it
+    ELEVATION_RATE_MAX_DEG_S = 43  # deg/s: rate of elevation beyond which the board lands without this encoder
     PITCH_RATE_MAX_DEG_S = 44  # deg/s: pitch rate beyond which the motors are cut
     TRAVEL_RATE_MAX_DEG_S = 45  # deg/s: travel rate beyond which the motors are cut
-    ENCODER_ILLEGAL_MAX = 46  # : illegal transitions of one encoder since arming that are tolerated
-    OVERRUN_MAX = 47  # : late ticks since arming that are tolerated
-    ELEVATION_FOLLOWING_MAX_DEG = 48  # deg: following error of elevation, from its shaped setpoint, beyond which the board lands without the encoder after following_s
-    PITCH_FOLLOWING_MAX_DEG = 49  # deg: following error of pitch beyond which the motors are cut after following_s
-    TRAVEL_FOLLOWING_MAX_DEG = 50  # deg: following error of travel, from its shaped setpoint, beyond which the board lands after following_s
-    FOLLOWING_S = 51  # s: how long a following error beyond its limit is tolerated
-    ELEVATION_MOTION_V = 52  # V: change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V
-    PITCH_MOTION_V = 53  # V: change of front minus back, dead zones apart, that must move pitch within motion_s
-    MOTION_S = 54  # s: how long a driven elevation or pitch may stay within one count
-    TRAVEL_MOTION_DEG = 55  # deg: pitch beyond the balanced one that must move travel within travel_motion_s
-    TRAVEL_MOTION_S = 56  # s: with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time
-    TRAVEL_SILENCE_S = 57  # s: how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never
-    ELEVATION_GAIN = 58  # rad/(s2 V): acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by
-    PITCH_GAIN = 59  # rad/(s2 V): acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by
-    TRAVEL_GAIN = 60  # 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
-    LAW_JUMP_MAX_V = 61  # V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
-    LAW_ENVELOPE = 62  # : share of the angle and rate limits, and of the following errors, beyond which it takes over
-    ARM_RATE_MAX_DEG_S = 63  # deg/s: arming needs every axis to turn no faster than this
-    ARM_ELEVATION_TOLERANCE_DEG = 64  # deg: arming needs the elevation this close to rest
-    ARM_PITCH_TOLERANCE_DEG = 65  # deg: arming needs the pitch this close to level
+    ENCODER_ILLEGAL_MAX = 46  # : number of illegal transitions of an encoder since arming that is tolerated
+    OVERRUN_MAX = 47  # : number of late ticks since arming that is tolerated
+    ELEVATION_FOLLOWING_MAX_DEG = 48  # deg: limit of the distance of elevation from its moving setpoint; after following_s beyond it, the board lands without this encoder
+    PITCH_FOLLOWING_MAX_DEG = 49  # deg: limit of the distance of pitch from its setpoint; after following_s beyond it, the motors are cut
+    TRAVEL_FOLLOWING_MAX_DEG = 50  # deg: limit of the distance of travel from its moving setpoint; after following_s beyond it, the board lands
+    FOLLOWING_S = 51  # s: time for which an axis may be farther from its setpoint than its limit
+    ELEVATION_MOTION_V = 52  # V: change of the sum of the voltages (without dead zones) that must move elevation within motion_s; at take-off, it counts from hover_V
+    PITCH_MOTION_V = 53  # V: change of front minus back voltage (without dead zones) that must move pitch within motion_s
+    MOTION_S = 54  # s: longest time for which elevation or pitch may stay within one count although the motors drive it
+    TRAVEL_MOTION_DEG = 55  # deg: additional pitch, beyond the pitch at which travel rests, that must turn the arm within travel_motion_s
+    TRAVEL_MOTION_S = 56  # s: time within which travel_motion_deg must turn the arm; if the additional pitch is smaller, the arm may rest longer
+    TRAVEL_SILENCE_S = 57  # s: time in the air without a count of travel after which a short tilt checks the travel encoder; 0 switches this check off
+    ELEVATION_GAIN = 58  # rad/(s2 V): acceleration of elevation per volt of the voltages' sum: thrust gain k L_a / J_theta; predicts how far elevation must move
+    PITCH_GAIN = 59  # rad/(s2 V): acceleration of pitch per volt of front minus back voltage: k L_h / J_phi; predicts how far pitch must move
+    TRAVEL_GAIN = 60  # 1/s2: acceleration of travel per radian of pitch at hover: the thrust of both rotors times L_a / J_psi; predicts how far travel must move
+    LAW_JUMP_MAX_V = 61  # V: largest change of a motor's voltage from one tick to the next; if an uploaded law exceeds it, the board's own law takes over
+    LAW_ENVELOPE = 62  # : share of the limits of angles, rates and distances from the setpoints; if an uploaded law exceeds it, the board's own law takes over
+    ARM_RATE_MAX_DEG_S = 63  # deg/s: the board arms only if no axis turns faster than this
+    ARM_ELEVATION_TOLERANCE_DEG = 64  # deg: the board arms only if elevation is this close to rest
+    ARM_PITCH_TOLERANCE_DEG = 65  # deg: the board arms only if pitch is this close to level
     SETPOINT_HOLD_S = 66  # s: time without a recent setpoint after which the board holds level
     SETPOINT_LAND_S = 67  # s: time without a recent setpoint after which the board lands
-    LANDING_RATE_DEG_S = 68  # deg/s: descent of the elevation setpoint while landing
+    LANDING_RATE_DEG_S = 68  # deg/s: rate at which the elevation setpoint decreases while landing
     LANDING_TIMEOUT_S = 69  # s: longest landing; then the motors are switched off with a fault. A landing without the elevation encoder takes 1.5 times as long
     VOLTAGE_VALID_MAX_MS = 70  # ms: longest time that a streamed voltage acts
-    EXCITATION_MAX_V = 71  # V: largest amplitude that excite accepts
-    EXCITATION_MAX_S = 72  # s: longest duration that excite accepts
+    EXCITATION_MAX_V = 71  # V: largest amplitude of an excitation
+    EXCITATION_MAX_S = 72  # s: longest duration of an excitation
     TELEMETRY_BATCH_TICKS = 73  # tick: ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller
     CONTROLLER = 74  # : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 
@@ -360,64 +360,64 @@ class Param(Name):
 class Channel(Name):
     """Position of each telemetry channel."""
 
-    ELEVATION_COUNT = 0  # count: elevation encoder, level = 0, up positive
-    PITCH_COUNT = 1  # count: pitch encoder, level = 0, front rotor up positive
-    TRAVEL_COUNT = 2  # count: travel encoder, 0 where the zero was taken
-    ELEVATION_SETPOINT = 3  # rad: slew-limited elevation setpoint that the control law used
+    ELEVATION_COUNT = 0  # count: elevation encoder: level is 0, upwards is positive
+    PITCH_COUNT = 1  # count: pitch encoder: level is 0, positive with the front rotor up
+    TRAVEL_COUNT = 2  # count: travel encoder: 0 is the position at which it was zeroed
+    ELEVATION_SETPOINT = 3  # rad: elevation setpoint that the control law used, after the limit of its rate
     PITCH_SETPOINT = 4  # rad: pitch setpoint that the control law used: the travel loop's output, or the host's
-    TRAVEL_SETPOINT = 5  # rad: slew-limited travel setpoint that the control law used
-    FRONT = 6  # V: voltage that acted on the front motor during this tick: duty times supply, after every limit
+    TRAVEL_SETPOINT = 5  # rad: travel setpoint that the control law used, after the limit of its rate
+    FRONT = 6  # V: voltage that acted on the front motor during this tick, after every limit
     BACK = 7  # V: voltage that acted on the back motor during this tick
     STATE = 8  # enum state: supervisor state
     FAULT = 9  # enum fault: fault code, 0 while none
     FLAGS = 10  # bits flags: flag bits
-    TRIGGER = 11  # enum trigger: event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
-    SIGNAL_1 = 12  # : first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
-    SIGNAL_2 = 13  # : its second signal
-    SIGNAL_3 = 14  # : its third signal
-    SIGNAL_4 = 15  # : its fourth signal
+    TRIGGER = 11  # enum trigger: event that led to the present state; after a touchdown, the event that led to the landing
+    SIGNAL_1 = 12  # : first signal of an uploaded law; if the law logs its own setpoints, the board's setpoints follow after the law's signals; 0 while no law flies
+    SIGNAL_2 = 13  # : second signal of an uploaded law
+    SIGNAL_3 = 14  # : third signal of an uploaded law
+    SIGNAL_4 = 15  # : fourth signal of an uploaded law
 
 
 class MessageId(Name):
     """Second byte of a frame."""
 
     HELLO = 1  # Opens a session. The layouts of hello and welcome never change, so that any two versions recognise each other.
-    PING = 2  # Heartbeat and clock exchange.
-    ARM = 3  # Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
-    STOP = 4  # Motors off now, from any state; also ends the armed state.
-    CONTROL = 5  # Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
-    STREAM = 6  # Hands the motor voltages to the host's voltage stream.
-    LAND = 7  # Controlled descent, then motors off.
-    EXCITE = 8  # Starts an excitation on top of whatever drives the motors.
+    PING = 2  # Shows that the host is alive, and compares the clocks of host and board.
+    ARM = 3  # Runs the checks before a flight. If they pass, it enables the drivers at zero voltage.
+    STOP = 4  # Switches the motors off immediately, in any state. It also ends the armed state.
+    CONTROL = 5  # Closes the control loops of the axes in the mask. The other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
+    STREAM = 6  # From now on, the host sends the motor voltages (message voltages).
+    LAND = 7  # Lands the arm under control, then switches the motors off.
+    EXCITE = 8  # Starts an excitation, which is added to the motor voltages.
     EXCITE_STOP = 9  # Ends a running excitation.
-    PARAM_SET = 10  # Sets one parameter in memory; ack.value is the value now in force.
+    PARAM_SET = 10  # Sets one parameter in memory. ack.value is the value that is now in force.
     PARAMS_READ = 11  # Reads up to 32 parameters from `first` on.
-    PARAMS_SAVE = 12  # Writes all parameters to flash; only while idle.
-    PARAMS_DEFAULT = 13  # Puts the declared defaults into memory; only while idle; does not save.
-    ZERO = 14  # Takes the present position as rest (elevation) or zero (pitch, travel); only while idle.
-    CLEAR_FAULT = 15  # Leaves the fault state for idle.
-    STATUS_READ = 16  # Asks for the counters now; they also come once a second.
+    PARAMS_SAVE = 12  # Writes all parameters to the flash, only while the board is idle.
+    PARAMS_DEFAULT = 13  # Sets all parameters to their defaults in memory, only while the board is idle. It does not save them.
+    ZERO = 14  # Makes the present position the rest position (elevation) or zero (pitch, travel), only while the board is idle.
+    CLEAR_FAULT = 15  # Changes the state from fault to idle.
+    STATUS_READ = 16  # Asks for the counters. The board also sends them once per second.
     LAW_BEGIN = 17  # Begins the upload of a law, and deletes the loaded law. Not allowed while a law flies.
     LAW_PART = 18  # Twelve words of the law, in order; the board ignores words behind the last one of the law. ack.value: words received so far. Sending the same part again changes nothing.
     LAW_END = 19  # Ends the upload: the board verifies the law. ack.value: instructions that a call takes in the worst case. If the law is already ready, the answer is the same.
-    LAW_FLY = 20  # Flies the law from the next tick on, or lets the board's own law take over. ack.detail: the state.
+    LAW_FLY = 20  # Starts the law at the next tick, or lets the board's own law take over. ack.detail: the state.
     LAW_SET = 21  # Sets a parameter of the law, also in flight. The value stays until the next upload. ack.value: the value in force.
     LAW_READ = 22  # Asks which law the board has.
     CONTROLLER_READ = 23  # Asks for the name of a compiled controller.
-    PARAMS_ORIGIN_READ = 24  # Asks which parameters got their values from the stored set at the start.
-    SETPOINT = 32  # Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
-    VOLTAGES = 33  # Motor voltages in the streamed state.
+    PARAMS_ORIGIN_READ = 24  # Asks which parameters had a value in the stored set when the board started.
+    SETPOINT = 32  # Target that the setpoint should reach at a tick of the board. The setpoint moves there linearly, within the limits of its rate.
+    VOLTAGES = 33  # Motor voltages from the host, in the state streamed.
     FOLLOWING = 34  # Setpoints that the host's law follows in the streamed state. The board only logs them; in other states, it ignores this message.
     ACK = 128  # Answer to a command.
     WELCOME = 129  # Answer to hello.
     PONG = 130  # Answer to ping.
     PARAMS = 131  # Parameter values, as many as `count` says (at most 32), in table order.
-    STATUS = 132  # Counters since start; sent once a second with request = 0, and on status_read.
+    STATUS = 132  # Counters since the start of the board. The board sends them once per second with request = 0, and after status_read.
     LAW = 135  # The law that the board has.
-    CONTROLLER = 136  # The name of a compiled controller, in ASCII, 0 behind its end.
+    CONTROLLER = 136  # Name of a compiled controller in ASCII; zeros fill the rest.
     PARAMS_ORIGIN = 137  # Origin of the parameters at the start, or since the last save.
-    TELEMETRY = 133  # A batch of consecutive ticks, delta-coded; layout below.
-    EVENT = 134  # Something happened; also visible in telemetry, but with its reason here.
+    TELEMETRY = 133  # Samples of consecutive ticks, as differences; the section Telemetry batch gives the layout.
+    EVENT = 134  # An event with its reason.
 
 
 AXES: tuple[str, ...] = ("elevation", "pitch", "travel",)
@@ -469,79 +469,79 @@ class ChannelSpec:
 
 
 PARAMS: tuple[ParamSpec, ...] = (
-    ParamSpec(0, "elevation_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 52847, "elevation encoder counts per revolution, x4; a negative number reverses its direction"),
-    ParamSpec(1, "pitch_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 33298, "pitch encoder counts per revolution, x4; a negative number reverses its direction"),
-    ParamSpec(2, "travel_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 56105, "travel encoder counts per revolution, x4; a negative number reverses its direction"),
-    ParamSpec(3, "elevation_rest_deg", "deg", -60.0, 0.0, -25.0, False, False, True, 18648, "elevation when the arm rests on the table, so that level is zero"),
-    ParamSpec(4, "supply_V", "V", 5.0, 24.0, 12.0, False, False, True, 14206, "supply voltage of the motor drivers, which full duty gives"),
-    ParamSpec(5, "motor_min_V", "V", -24.0, 0.0, 0.0, False, False, True, 40861, "lowest motor voltage; 0 never reverses a rotor"),
+    ParamSpec(0, "elevation_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 52847, "counts of the elevation encoder per turn: four times its pulses; a negative number reverses its direction"),
+    ParamSpec(1, "pitch_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 33298, "counts of the pitch encoder per turn: four times its pulses; a negative number reverses its direction"),
+    ParamSpec(2, "travel_counts_per_rev", "count", -65536.0, 65536.0, 4096.0, True, False, True, 56105, "counts of the travel encoder per turn: four times its pulses; a negative number reverses its direction"),
+    ParamSpec(3, "elevation_rest_deg", "deg", -60.0, 0.0, -25.0, False, False, True, 18648, "elevation of the arm at rest on the table; level is 0"),
+    ParamSpec(4, "supply_V", "V", 5.0, 24.0, 12.0, False, False, True, 14206, "supply voltage of the motor drivers; full duty gives this voltage"),
+    ParamSpec(5, "motor_min_V", "V", -24.0, 0.0, 0.0, False, False, True, 40861, "lowest motor voltage; with 0, no rotor is ever reversed"),
     ParamSpec(6, "motor_max_V", "V", 0.5, 24.0, 10.0, False, False, True, 44159, "highest motor voltage"),
-    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, True, True, 39247, "-1 swaps the front motor's leads in software"),
-    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, True, True, 44112, "-1 swaps the back motor's leads in software"),
+    ParamSpec(7, "motor_front_sign", "", -1.0, 1.0, 1.0, True, True, True, 39247, "-1 reverses the front motor, as if its leads were swapped"),
+    ParamSpec(8, "motor_back_sign", "", -1.0, 1.0, 1.0, True, True, True, 44112, "-1 reverses the back motor, as if its leads were swapped"),
     ParamSpec(9, "dead_zone_V", "V", 0.0, 5.0, 1.0, False, False, False, 7221, "voltage below which a rotor gives no thrust (paper eq. 31); the control law adds it"),
     ParamSpec(10, "hover_V", "V", 0.0, 20.0, 1.4, False, False, False, 45436, "sum of both voltages, above the dead zone, that holds the arm level"),
     ParamSpec(11, "hover_slope", "V/deg", -1.0, 1.0, 0.06, False, False, False, 62739, "change of hover_V with elevation: masses below the axis need more lift at a higher elevation"),
     ParamSpec(12, "elevation_kp", "V/deg", 0.0, 20.0, 0.28, False, False, False, 59537, "elevation proportional gain (paper Table 6: 0.5)"),
     ParamSpec(13, "elevation_ki", "V/(deg s)", 0.0, 20.0, 0.49, False, False, False, 50189, "elevation integral gain (paper Table 6: 1)"),
     ParamSpec(14, "elevation_kd", "V s/deg", 0.0, 20.0, 0.22, False, False, False, 36612, "elevation derivative gain, on the measurement (paper Table 6: 0.1)"),
-    ParamSpec(15, "elevation_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, 30968, "share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only"),
-    ParamSpec(16, "elevation_acceleration_ff", "V s2/deg", 0.0, 1.0, 0.036, False, False, False, 41366, "voltage sum per setpoint acceleration: inertia / (thrust gain x arm)"),
+    ParamSpec(15, "elevation_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, 30968, "share of the setpoint's rate that the derivative term uses; with 0, it uses the measured rate only"),
+    ParamSpec(16, "elevation_acceleration_ff", "V s2/deg", 0.0, 1.0, 0.036, False, False, False, 41366, "sum of the voltages per acceleration of the elevation setpoint: inertia / (thrust gain x arm)"),
     ParamSpec(17, "pitch_kp", "V/deg", 0.0, 20.0, 0.09, False, False, False, 19686, "pitch proportional gain (paper Table 6: 0.66)"),
     ParamSpec(18, "pitch_ki", "V/(deg s)", 0.0, 20.0, 0.0025, False, False, False, 19601, "pitch integral gain (paper Table 6: 3)"),
     ParamSpec(19, "pitch_kd", "V s/deg", 0.0, 20.0, 0.028, False, False, False, 16416, "pitch derivative gain, on the measurement (paper Table 6: 0.1)"),
-    ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.033, False, False, False, 36726, "difference of the voltages per degree of pitch setpoint, against masses below the pitch axis"),
+    ParamSpec(20, "pitch_hold_ff", "V/deg", -1.0, 1.0, 0.033, False, False, False, 36726, "difference of the voltages per degree of pitch setpoint, which holds a tilt against the weight below the pitch axis"),
     ParamSpec(21, "travel_kp", "deg/deg", 0.0, 20.0, 0.6, False, False, False, 18791, "travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)"),
     ParamSpec(22, "travel_ki", "deg/(deg s)", 0.0, 20.0, 0.06, False, False, False, 54432, "travel integral gain (paper Table 6 with P and I exchanged: 0.13)"),
     ParamSpec(23, "travel_kd", "deg s/deg", 0.0, 20.0, 3.15, False, False, False, 13136, "travel derivative gain, on the measurement (paper Table 6: 1.462)"),
-    ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, 10459, "share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only"),
-    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.09, False, False, False, 14566, "pitch per setpoint acceleration: inertia / (hover thrust x arm)"),
+    ParamSpec(24, "travel_rate_ff", "", 0.0, 1.0, 1.0, False, False, False, 10459, "share of the setpoint's rate that the derivative term uses; with 0, it uses the measured rate only"),
+    ParamSpec(25, "travel_acceleration_ff", "deg s2/deg", 0.0, 20.0, 1.09, False, False, False, 14566, "pitch per acceleration of the travel setpoint: inertia / (hover thrust x arm)"),
     ParamSpec(26, "elevation_integral_max_V", "V", 0.0, 20.0, 3.0, False, False, False, 31496, "bound of the elevation integrator"),
     ParamSpec(27, "pitch_integral_max_V", "V", 0.0, 20.0, 2.0, False, False, False, 33512, "bound of the pitch integrator"),
     ParamSpec(28, "travel_integral_max_deg", "deg", 0.0, 45.0, 10.0, False, False, False, 15807, "bound of the travel integrator"),
     ParamSpec(29, "elevation_filter_Hz", "Hz", 0.5, 200.0, 6.0, False, False, False, 42134, "cut-off of the elevation rate filter (two poles)"),
     ParamSpec(30, "pitch_filter_Hz", "Hz", 0.5, 200.0, 16.0, False, False, False, 37074, "cut-off of the pitch rate filter (two poles)"),
     ParamSpec(31, "travel_filter_Hz", "Hz", 0.5, 200.0, 3.0, False, False, False, 31395, "cut-off of the travel rate filter (two poles)"),
-    ParamSpec(32, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 30.0, False, False, False, 62937, "bound of the pitch setpoint, from the travel loop or the host"),
-    ParamSpec(33, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, 48257, "bound of front minus back; pitch has priority in the mixer, so more would lift the arm"),
+    ParamSpec(32, "pitch_setpoint_max_deg", "deg", 1.0, 45.0, 30.0, False, False, False, 62937, "largest pitch setpoint, from the travel loop or the host"),
+    ParamSpec(33, "differential_max_V", "V", 0.1, 24.0, 1.4, False, False, False, 48257, "largest difference of front and back voltage; the mixer prefers pitch to lift, so a larger difference would lift the arm"),
     ParamSpec(34, "elevation_slew_deg_s", "deg/s", 0.5, 200.0, 15.0, False, False, False, 10933, "fastest change of the elevation setpoint"),
     ParamSpec(35, "pitch_slew_deg_s", "deg/s", 1.0, 1000.0, 90.0, False, False, False, 13902, "fastest change of the pitch setpoint, from the travel loop or the host"),
     ParamSpec(36, "travel_slew_deg_s", "deg/s", 0.5, 200.0, 20.0, False, False, False, 47362, "fastest change of the travel setpoint"),
     ParamSpec(37, "elevation_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 29.0, False, False, False, 25307, "fastest change of the elevation setpoint's rate, which makes a step a smooth ramp"),
     ParamSpec(38, "travel_acceleration_deg_s2", "deg/s2", 1.0, 2000.0, 4.5, False, False, False, 54873, "fastest change of the travel setpoint's rate; travel can only accelerate by tilting"),
-    ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, 5611, "time constant of the smooth change between modes"),
-    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, 57010, "elevation above which the board lands without the encoder; setpoints are refused from 2 degrees below it"),
+    ParamSpec(39, "bumpless_s", "s", 0.02, 5.0, 0.3, False, False, False, 5611, "time constant of the smooth change from one control law or state to the next"),
+    ParamSpec(40, "elevation_max_deg", "deg", 1.0, 60.0, 24.0, False, False, True, 57010, "limit of elevation, above which the board lands without this encoder; setpoints must be 2 degrees lower"),
     ParamSpec(41, "pitch_max_deg", "deg", 5.0, 80.0, 45.0, False, False, True, 32123, "pitch beyond which the motors are cut"),
-    ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, 23820, "travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it"),
-    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, 38917, "elevation rate beyond which the board lands without the encoder"),
+    ParamSpec(42, "travel_max_deg", "deg", 10.0, 3600.0, 175.0, False, False, True, 23820, "limit of travel, beyond which the motors are cut; setpoints must stay 5 degrees inside it"),
+    ParamSpec(43, "elevation_rate_max_deg_s", "deg/s", 10.0, 1000.0, 120.0, False, False, True, 38917, "rate of elevation beyond which the board lands without this encoder"),
     ParamSpec(44, "pitch_rate_max_deg_s", "deg/s", 10.0, 2000.0, 400.0, False, False, True, 64419, "pitch rate beyond which the motors are cut"),
     ParamSpec(45, "travel_rate_max_deg_s", "deg/s", 10.0, 1000.0, 150.0, False, False, True, 42965, "travel rate beyond which the motors are cut"),
-    ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, 7961, "illegal transitions of one encoder since arming that are tolerated"),
-    ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, 61050, "late ticks since arming that are tolerated"),
-    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, 7603, "following error of elevation, from its shaped setpoint, beyond which the board lands without the encoder after following_s"),
-    ParamSpec(49, "pitch_following_max_deg", "deg", 1.0, 180.0, 20.0, False, False, True, 321, "following error of pitch beyond which the motors are cut after following_s"),
-    ParamSpec(50, "travel_following_max_deg", "deg", 1.0, 3600.0, 30.0, False, False, True, 63735, "following error of travel, from its shaped setpoint, beyond which the board lands after following_s"),
-    ParamSpec(51, "following_s", "s", 0.1, 10.0, 1.0, False, False, True, 14065, "how long a following error beyond its limit is tolerated"),
-    ParamSpec(52, "elevation_motion_V", "V", 0.1, 48.0, 1.2, False, False, True, 11783, "change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V"),
-    ParamSpec(53, "pitch_motion_V", "V", 0.1, 48.0, 0.5, False, False, True, 15865, "change of front minus back, dead zones apart, that must move pitch within motion_s"),
-    ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, 45910, "how long a driven elevation or pitch may stay within one count"),
-    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, 51749, "pitch beyond the balanced one that must move travel within travel_motion_s"),
-    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, 26309, "with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time"),
-    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 2.5, False, False, True, 47652, "how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never"),
-    ParamSpec(58, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, 12260, "acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by"),
-    ParamSpec(59, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, 62647, "acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by"),
-    ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, 47475, "acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by"),
-    ParamSpec(61, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, 49258, "change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link"),
-    ParamSpec(62, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, 51186, "share of the angle and rate limits, and of the following errors, beyond which it takes over"),
-    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, 43912, "arming needs every axis to turn no faster than this"),
-    ParamSpec(64, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, 4074, "arming needs the elevation this close to rest"),
-    ParamSpec(65, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, 2930, "arming needs the pitch this close to level"),
+    ParamSpec(46, "encoder_illegal_max", "", 0.0, 1000.0, 5.0, False, False, True, 7961, "number of illegal transitions of an encoder since arming that is tolerated"),
+    ParamSpec(47, "overrun_max", "", 0.0, 1000.0, 10.0, False, False, True, 61050, "number of late ticks since arming that is tolerated"),
+    ParamSpec(48, "elevation_following_max_deg", "deg", 1.0, 180.0, 15.0, False, False, True, 7603, "limit of the distance of elevation from its moving setpoint; after following_s beyond it, the board lands without this encoder"),
+    ParamSpec(49, "pitch_following_max_deg", "deg", 1.0, 180.0, 20.0, False, False, True, 321, "limit of the distance of pitch from its setpoint; after following_s beyond it, the motors are cut"),
+    ParamSpec(50, "travel_following_max_deg", "deg", 1.0, 3600.0, 30.0, False, False, True, 63735, "limit of the distance of travel from its moving setpoint; after following_s beyond it, the board lands"),
+    ParamSpec(51, "following_s", "s", 0.1, 10.0, 1.0, False, False, True, 14065, "time for which an axis may be farther from its setpoint than its limit"),
+    ParamSpec(52, "elevation_motion_V", "V", 0.1, 48.0, 1.2, False, False, True, 11783, "change of the sum of the voltages (without dead zones) that must move elevation within motion_s; at take-off, it counts from hover_V"),
+    ParamSpec(53, "pitch_motion_V", "V", 0.1, 48.0, 0.5, False, False, True, 15865, "change of front minus back voltage (without dead zones) that must move pitch within motion_s"),
+    ParamSpec(54, "motion_s", "s", 0.1, 10.0, 0.5, False, False, True, 45910, "longest time for which elevation or pitch may stay within one count although the motors drive it"),
+    ParamSpec(55, "travel_motion_deg", "deg", 0.5, 90.0, 8.0, False, False, True, 51749, "additional pitch, beyond the pitch at which travel rests, that must turn the arm within travel_motion_s"),
+    ParamSpec(56, "travel_motion_s", "s", 0.1, 30.0, 1.0, False, False, True, 26309, "time within which travel_motion_deg must turn the arm; if the additional pitch is smaller, the arm may rest longer"),
+    ParamSpec(57, "travel_silence_s", "s", 0.0, 60.0, 2.5, False, False, True, 47652, "time in the air without a count of travel after which a short tilt checks the travel encoder; 0 switches this check off"),
+    ParamSpec(58, "elevation_gain", "rad/(s2 V)", 0.02, 10.0, 0.485, False, False, False, 12260, "acceleration of elevation per volt of the voltages' sum: thrust gain k L_a / J_theta; predicts how far elevation must move"),
+    ParamSpec(59, "pitch_gain", "rad/(s2 V)", 0.1, 100.0, 2.97, False, False, False, 62647, "acceleration of pitch per volt of front minus back voltage: k L_h / J_phi; predicts how far pitch must move"),
+    ParamSpec(60, "travel_gain", "1/s2", 0.05, 100.0, 0.5, False, False, False, 47475, "acceleration of travel per radian of pitch at hover: the thrust of both rotors times L_a / J_psi; predicts how far travel must move"),
+    ParamSpec(61, "law_jump_max_V", "V", 0.1, 48.0, 2.5, False, False, True, 49258, "largest change of a motor's voltage from one tick to the next; if an uploaded law exceeds it, the board's own law takes over"),
+    ParamSpec(62, "law_envelope", "", 0.2, 1.0, 0.8, False, False, True, 51186, "share of the limits of angles, rates and distances from the setpoints; if an uploaded law exceeds it, the board's own law takes over"),
+    ParamSpec(63, "arm_rate_max_deg_s", "deg/s", 0.1, 100.0, 3.0, False, False, True, 43912, "the board arms only if no axis turns faster than this"),
+    ParamSpec(64, "arm_elevation_tolerance_deg", "deg", 0.1, 60.0, 2.0, False, False, True, 4074, "the board arms only if elevation is this close to rest"),
+    ParamSpec(65, "arm_pitch_tolerance_deg", "deg", 0.1, 60.0, 10.0, False, False, True, 2930, "the board arms only if pitch is this close to level"),
     ParamSpec(66, "setpoint_hold_s", "s", 0.05, 5.0, 0.5, False, False, True, 62867, "time without a recent setpoint after which the board holds level"),
     ParamSpec(67, "setpoint_land_s", "s", 0.1, 30.0, 2.0, False, False, True, 30307, "time without a recent setpoint after which the board lands"),
-    ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, 47532, "descent of the elevation setpoint while landing"),
+    ParamSpec(68, "landing_rate_deg_s", "deg/s", 0.5, 60.0, 8.0, False, False, False, 47532, "rate at which the elevation setpoint decreases while landing"),
     ParamSpec(69, "landing_timeout_s", "s", 1.0, 60.0, 12.0, False, False, True, 4700, "longest landing; then the motors are switched off with a fault. A landing without the elevation encoder takes 1.5 times as long"),
     ParamSpec(70, "voltage_valid_max_ms", "ms", 5.0, 500.0, 100.0, False, False, True, 46174, "longest time that a streamed voltage acts"),
-    ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, 50530, "largest amplitude that excite accepts"),
-    ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, 26314, "longest duration that excite accepts"),
+    ParamSpec(71, "excitation_max_V", "V", 0.0, 12.0, 2.0, False, False, True, 50530, "largest amplitude of an excitation"),
+    ParamSpec(72, "excitation_max_s", "s", 1.0, 600.0, 120.0, False, False, True, 26314, "longest duration of an excitation"),
     ParamSpec(73, "telemetry_batch_ticks", "tick", 4.0, 32.0, 20.0, False, True, False, 49108, "ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller"),
     ParamSpec(74, "controller", "", 0.0, 7.0, 0.0, False, True, True, 6747, "compiled controller that flies: its row in the board's table; a number beyond the last row is refused"),
 )
@@ -572,35 +572,35 @@ FAULTS: tuple[FaultSpec, ...] = (
     FaultSpec(23, "parameters_invalid", "check", None, "the stored parameters are damaged or contradict each other", "restore your copy with heli-host params restore FILE --save, or set the named parameters and save"),
     FaultSpec(24, "pitch_not_level", "check", "arm_pitch_tolerance_deg", "the short arm is not level", "level it, or zero it while level"),
     FaultSpec(25, "elevation_below_table", "land", "arm_elevation_tolerance_deg", "elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be", "check the elevation encoder's plug; then let the arm rest on the table and zero it"),
-    FaultSpec(26, "elevation_step", "land", "elevation_rate_max_deg_s", "elevation changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed", "check the elevation encoder's plug and cable; then let the arm rest on the table and zero it"),
-    FaultSpec(27, "pitch_step", "land", "pitch_rate_max_deg_s", "pitch changed within 4 ms by more than the short arm can turn; until it is zeroed, nothing is armed", "check the pitch encoder's plug and cable, and that nothing strikes the short arm; then level it and zero it"),
-    FaultSpec(28, "travel_step", "land", "travel_rate_max_deg_s", "travel changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed", "check the travel encoder's plug and cable; then zero it"),
+    FaultSpec(26, "elevation_step", "land", "elevation_rate_max_deg_s", "elevation changed within 4 ms by more than the arm can turn; the board does not arm until the axis is zeroed", "check the elevation encoder's plug and cable; then let the arm rest on the table and zero it"),
+    FaultSpec(27, "pitch_step", "land", "pitch_rate_max_deg_s", "pitch changed within 4 ms by more than the short arm can turn; the board does not arm until the axis is zeroed", "check the pitch encoder's plug and cable, and that nothing strikes the short arm; then level it and zero it"),
+    FaultSpec(28, "travel_step", "land", "travel_rate_max_deg_s", "travel changed within 4 ms by more than the arm can turn; the board does not arm until the axis is zeroed", "check the travel encoder's plug and cable; then zero it"),
     FaultSpec(29, "elevation_rest", "trip", "elevation_rest_deg", "after landing, the arm rests without lift at another elevation than before take-off", "check the elevation encoder's plug; if the arm floats or sticks above the table without voltage, shift its counterweight or free its bearing; then let it rest on the table and zero it"),
     FaultSpec(33, "elevation_sign", "trip", None, "at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong", "lift the arm by hand: heli-host watch must show a larger elevation; if not, reverse the sign of elevation_counts_per_rev, or swap the encoder's lines A and B"),
     FaultSpec(34, "pitch_sign", "land", "pitch_motion_V", "pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down", "tilt the short arm by hand: pitch must be positive with the front rotor up; then try each motor alone with heli-host motors"),
     FaultSpec(35, "travel_sign", "land", "travel_motion_deg", "travel turned against the tilt: the sign of the travel encoder is wrong", "turn the arm by hand and compare with the signs; reverse the sign of travel_counts_per_rev, or swap the encoder's lines A and B; after a loose pitch plug, zero pitch"),
-    FaultSpec(30, "watchdog", "boot", None, "the watchdog reset the board, because control tick or idle loop hung", "report it with the log"),
-    FaultSpec(31, "hard_fault", "boot", None, "the processor faulted; bridges were switched off and the board reset", "report it with the log"),
-    FaultSpec(32, "unexpected_interrupt", "boot", None, "an interrupt without a handler; bridges were switched off and the board reset", "report it with the log"),
+    FaultSpec(30, "watchdog", "boot", None, "the watchdog restarted the board, because the control tick or the idle loop hung", "report it with the log"),
+    FaultSpec(31, "hard_fault", "boot", None, "the processor reported an error; the board switched off the motor drivers and restarted", "report it with the log"),
+    FaultSpec(32, "unexpected_interrupt", "boot", None, "an interrupt without a handler came; the board switched off the motor drivers and restarted", "report it with the log"),
 )
 
 CHANNELS: tuple[ChannelSpec, ...] = (
-    ChannelSpec("elevation_count", "<i", "count", 1.0, "elevation_rad", "elevation_count", Axis.ELEVATION, None, "elevation encoder, level = 0, up positive"),
-    ChannelSpec("pitch_count", "<i", "count", 1.0, "pitch_rad", "pitch_count", Axis.PITCH, None, "pitch encoder, level = 0, front rotor up positive"),
-    ChannelSpec("travel_count", "<i", "count", 1.0, "travel_rad", "travel_count", Axis.TRAVEL, None, "travel encoder, 0 where the zero was taken"),
-    ChannelSpec("elevation_setpoint", "<i", "rad", 1e-05, "elevation_setpoint_rad", "elevation_setpoint_rad", None, None, "slew-limited elevation setpoint that the control law used"),
+    ChannelSpec("elevation_count", "<i", "count", 1.0, "elevation_rad", "elevation_count", Axis.ELEVATION, None, "elevation encoder: level is 0, upwards is positive"),
+    ChannelSpec("pitch_count", "<i", "count", 1.0, "pitch_rad", "pitch_count", Axis.PITCH, None, "pitch encoder: level is 0, positive with the front rotor up"),
+    ChannelSpec("travel_count", "<i", "count", 1.0, "travel_rad", "travel_count", Axis.TRAVEL, None, "travel encoder: 0 is the position at which it was zeroed"),
+    ChannelSpec("elevation_setpoint", "<i", "rad", 1e-05, "elevation_setpoint_rad", "elevation_setpoint_rad", None, None, "elevation setpoint that the control law used, after the limit of its rate"),
     ChannelSpec("pitch_setpoint", "<i", "rad", 1e-05, "pitch_setpoint_rad", "pitch_setpoint_rad", None, None, "pitch setpoint that the control law used: the travel loop's output, or the host's"),
-    ChannelSpec("travel_setpoint", "<i", "rad", 1e-05, "travel_setpoint_rad", "travel_setpoint_rad", None, None, "slew-limited travel setpoint that the control law used"),
-    ChannelSpec("front", "<h", "V", 0.001, "front_V", "front_volt", None, None, "voltage that acted on the front motor during this tick: duty times supply, after every limit"),
+    ChannelSpec("travel_setpoint", "<i", "rad", 1e-05, "travel_setpoint_rad", "travel_setpoint_rad", None, None, "travel setpoint that the control law used, after the limit of its rate"),
+    ChannelSpec("front", "<h", "V", 0.001, "front_V", "front_volt", None, None, "voltage that acted on the front motor during this tick, after every limit"),
     ChannelSpec("back", "<h", "V", 0.001, "back_V", "back_volt", None, None, "voltage that acted on the back motor during this tick"),
     ChannelSpec("state", "<B", "enum state", 1.0, "state", "state", None, State, "supervisor state"),
     ChannelSpec("fault", "<B", "enum fault", 1.0, "fault", "fault", None, Fault, "fault code, 0 while none"),
     ChannelSpec("flags", "<B", "bits flags", 1.0, "flags", "flags", None, Flags, "flag bits"),
-    ChannelSpec("trigger", "<B", "enum trigger", 1.0, "trigger", "trigger", None, Trigger, "event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot"),
-    ChannelSpec("signal_1", "<i", "", 1e-05, "signal_1", "signal_1", None, None, "first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies"),
-    ChannelSpec("signal_2", "<i", "", 1e-05, "signal_2", "signal_2", None, None, "its second signal"),
-    ChannelSpec("signal_3", "<i", "", 1e-05, "signal_3", "signal_3", None, None, "its third signal"),
-    ChannelSpec("signal_4", "<i", "", 1e-05, "signal_4", "signal_4", None, None, "its fourth signal"),
+    ChannelSpec("trigger", "<B", "enum trigger", 1.0, "trigger", "trigger", None, Trigger, "event that led to the present state; after a touchdown, the event that led to the landing"),
+    ChannelSpec("signal_1", "<i", "", 1e-05, "signal_1", "signal_1", None, None, "first signal of an uploaded law; if the law logs its own setpoints, the board's setpoints follow after the law's signals; 0 while no law flies"),
+    ChannelSpec("signal_2", "<i", "", 1e-05, "signal_2", "signal_2", None, None, "second signal of an uploaded law"),
+    ChannelSpec("signal_3", "<i", "", 1e-05, "signal_3", "signal_3", None, None, "third signal of an uploaded law"),
+    ChannelSpec("signal_4", "<i", "", 1e-05, "signal_4", "signal_4", None, None, "fourth signal of an uploaded law"),
 )
 
 
@@ -609,22 +609,22 @@ class ChannelValues:
     """The values of all channels in one tick, each in its unit."""
 
     tick: int  # Device time [tick], unwrapped beyond 2^32
-    elevation_rad: float  # elevation encoder, level = 0, up positive [rad]
-    pitch_rad: float  # pitch encoder, level = 0, front rotor up positive [rad]
-    travel_rad: float  # travel encoder, 0 where the zero was taken [rad]
-    elevation_setpoint_rad: float  # slew-limited elevation setpoint that the control law used [rad]
+    elevation_rad: float  # elevation encoder: level is 0, upwards is positive [rad]
+    pitch_rad: float  # pitch encoder: level is 0, positive with the front rotor up [rad]
+    travel_rad: float  # travel encoder: 0 is the position at which it was zeroed [rad]
+    elevation_setpoint_rad: float  # elevation setpoint that the control law used, after the limit of its rate [rad]
     pitch_setpoint_rad: float  # pitch setpoint that the control law used: the travel loop's output, or the host's [rad]
-    travel_setpoint_rad: float  # slew-limited travel setpoint that the control law used [rad]
-    front_V: float  # voltage that acted on the front motor during this tick: duty times supply, after every limit [V]
+    travel_setpoint_rad: float  # travel setpoint that the control law used, after the limit of its rate [rad]
+    front_V: float  # voltage that acted on the front motor during this tick, after every limit [V]
     back_V: float  # voltage that acted on the back motor during this tick [V]
     state: State  # supervisor state
     fault: Fault  # fault code, 0 while none
     flags: Flags  # flag bits
-    trigger: Trigger  # event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
-    signal_1: float  # first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
-    signal_2: float  # its second signal
-    signal_3: float  # its third signal
-    signal_4: float  # its fourth signal
+    trigger: Trigger  # event that led to the present state; after a touchdown, the event that led to the landing
+    signal_1: float  # first signal of an uploaded law; if the law logs its own setpoints, the board's setpoints follow after the law's signals; 0 while no law flies
+    signal_2: float  # second signal of an uploaded law
+    signal_3: float  # third signal of an uploaded law
+    signal_4: float  # fourth signal of an uploaded law
 
 
 @dataclass(frozen=True)
@@ -707,18 +707,18 @@ OPERATIONS: tuple[OperationSpec, ...] = (
     OperationSpec("divide", 4, 2, 78, "a / b"),
     OperationSpec("negate", 5, 1, 17, "-a"),
     OperationSpec("absolute", 6, 1, 17, "|a|"),
-    OperationSpec("minimum", 7, 2, 30, "the lesser; not a number (NaN) if a or b is NaN"),
-    OperationSpec("maximum", 8, 2, 30, "the greater; NaN if a or b is NaN"),
+    OperationSpec("minimum", 7, 2, 30, "the smaller of a and b; not a number (NaN) if a or b is NaN"),
+    OperationSpec("maximum", 8, 2, 30, "the larger of a and b; NaN if a or b is NaN"),
     OperationSpec("less", 9, 2, 35, "1 if a < b, otherwise 0; NaN if a or b is NaN, as in all conditions"),
     OperationSpec("less_equal", 10, 2, 35, "1 if a <= b, otherwise 0"),
     OperationSpec("equal", 11, 2, 35, "1 if a = b, otherwise 0"),
     OperationSpec("not_equal", 12, 2, 35, "1 if a is not b, otherwise 0"),
-    OperationSpec("both", 13, 2, 27, "1 if neither is 0, otherwise 0"),
-    OperationSpec("either", 14, 2, 26, "1 if one of them is not 0, otherwise 0"),
+    OperationSpec("both", 13, 2, 27, "1 if neither a nor b is 0, otherwise 0"),
+    OperationSpec("either", 14, 2, 26, "1 if a or b is not 0, otherwise 0"),
     OperationSpec("negation", 15, 1, 23, "1 if a is 0, otherwise 0"),
     OperationSpec("select", 16, 2, 22, "b if a is not 0, otherwise 0; b has no effect if it is not selected"),
     OperationSpec("floor", 17, 1, 31, "the greatest whole number that is not above a"),
-    OperationSpec("square_root", 18, 1, 299, "NaN below 0"),
+    OperationSpec("square_root", 18, 1, 299, "square root of a; NaN below 0"),
     OperationSpec("sine", 19, 1, 93, "of a in rad; NaN beyond 8192 rad"),
     OperationSpec("cosine", 20, 1, 89, "of a in rad; NaN beyond 8192 rad"),
     OperationSpec("tangent", 21, 1, 228, "of a in rad; NaN beyond 8192 rad"),
@@ -743,18 +743,18 @@ class HelloMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class PingMessage(Message):
-    """Heartbeat and clock exchange."""
+    """Shows that the host is alive, and compares the clocks of host and board."""
 
     ID: ClassVar[MessageId] = MessageId.PING
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BQ")
     REPLY: ClassVar[MessageId] = MessageId.PONG
     request: int  # request number; a retry repeats it
-    host_us: int  # host clock when sent, echoed [us]
+    host_us: int  # clock of the host when it sends; the answer repeats it [us]
 
 
 @dataclass(frozen=True, slots=True)
 class ArmMessage(Message):
-    """Runs the pre-flight checks; enables the drivers at zero voltage when they pass."""
+    """Runs the checks before a flight. If they pass, it enables the drivers at zero voltage."""
 
     ID: ClassVar[MessageId] = MessageId.ARM
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -764,7 +764,7 @@ class ArmMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class StopMessage(Message):
-    """Motors off now, from any state; also ends the armed state."""
+    """Switches the motors off immediately, in any state. It also ends the armed state."""
 
     ID: ClassVar[MessageId] = MessageId.STOP
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -774,7 +774,7 @@ class StopMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ControlMessage(Message):
-    """Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop)."""
+    """Closes the control loops of the axes in the mask. The other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop)."""
 
     ID: ClassVar[MessageId] = MessageId.CONTROL
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBff")
@@ -787,7 +787,7 @@ class ControlMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class StreamMessage(Message):
-    """Hands the motor voltages to the host's voltage stream."""
+    """From now on, the host sends the motor voltages (message voltages)."""
 
     ID: ClassVar[MessageId] = MessageId.STREAM
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -797,7 +797,7 @@ class StreamMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class LandMessage(Message):
-    """Controlled descent, then motors off."""
+    """Lands the arm under control, then switches the motors off."""
 
     ID: ClassVar[MessageId] = MessageId.LAND
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -807,7 +807,7 @@ class LandMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ExciteMessage(Message):
-    """Starts an excitation on top of whatever drives the motors."""
+    """Starts an excitation, which is added to the motor voltages."""
 
     ID: ClassVar[MessageId] = MessageId.EXCITE
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBfffffI")
@@ -817,9 +817,9 @@ class ExciteMessage(Message):
     front_V: float  # amplitude on the front motor [V]
     back_V: float  # amplitude on the back motor [V]
     start_Hz: float  # lowest frequency (chirp, multisine) [Hz]
-    stop_Hz: float  # highest frequency (chirp, multisine), switching rate (prbs) [Hz]
+    stop_Hz: float  # highest frequency (chirp, multisine), or switching rate (prbs) [Hz]
     duration_s: float  # length; then the excitation ends by itself [s]
-    seed: int  # seed of prbs; must not be 0 there
+    seed: int  # seed of prbs, not 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -834,7 +834,7 @@ class ExciteStopMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ParamSetMessage(Message):
-    """Sets one parameter in memory; ack.value is the value now in force."""
+    """Sets one parameter in memory. ack.value is the value that is now in force."""
 
     ID: ClassVar[MessageId] = MessageId.PARAM_SET
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBf")
@@ -857,7 +857,7 @@ class ParamsReadMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ParamsSaveMessage(Message):
-    """Writes all parameters to flash; only while idle."""
+    """Writes all parameters to the flash, only while the board is idle."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_SAVE
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -867,7 +867,7 @@ class ParamsSaveMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ParamsDefaultMessage(Message):
-    """Puts the declared defaults into memory; only while idle; does not save."""
+    """Sets all parameters to their defaults in memory, only while the board is idle. It does not save them."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_DEFAULT
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -877,7 +877,7 @@ class ParamsDefaultMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ZeroMessage(Message):
-    """Takes the present position as rest (elevation) or zero (pitch, travel); only while idle."""
+    """Makes the present position the rest position (elevation) or zero (pitch, travel), only while the board is idle."""
 
     ID: ClassVar[MessageId] = MessageId.ZERO
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
@@ -888,7 +888,7 @@ class ZeroMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ClearFaultMessage(Message):
-    """Leaves the fault state for idle."""
+    """Changes the state from fault to idle."""
 
     ID: ClassVar[MessageId] = MessageId.CLEAR_FAULT
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -898,7 +898,7 @@ class ClearFaultMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class StatusReadMessage(Message):
-    """Asks for the counters now; they also come once a second."""
+    """Asks for the counters. The board also sends them once per second."""
 
     ID: ClassVar[MessageId] = MessageId.STATUS_READ
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -914,8 +914,8 @@ class LawBeginMessage(Message):
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIH")
     REPLY: ClassVar[MessageId] = MessageId.ACK
     request: int  # request number; a retry repeats it
-    hash: int  # CRC-32 of its words, little-endian
-    words: int  # their number
+    hash: int  # CRC-32 of the words of the law, little-endian
+    words: int  # number of these words
 
 
 @dataclass(frozen=True, slots=True)
@@ -926,7 +926,7 @@ class LawPartMessage(Message):
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BHIIIIIIIIIIII")
     REPLY: ClassVar[MessageId] = MessageId.ACK
     request: int  # request number; a retry repeats it
-    first: int  # position of the first of them
+    first: int  # position of the first of these words in the law
     word_0: int  # word first + 0
     word_1: int  # word first + 1
     word_2: int  # word first + 2
@@ -953,7 +953,7 @@ class LawEndMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class LawFlyMessage(Message):
-    """Flies the law from the next tick on, or lets the board's own law take over. ack.detail: the state."""
+    """Starts the law at the next tick, or lets the board's own law take over. ack.detail: the state."""
 
     ID: ClassVar[MessageId] = MessageId.LAW_FLY
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BB")
@@ -970,7 +970,7 @@ class LawSetMessage(Message):
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBf")
     REPLY: ClassVar[MessageId] = MessageId.ACK
     request: int  # request number; a retry repeats it
-    index: int  # its position in the law
+    index: int  # position of the parameter in the law
     value: float  # new value
 
 
@@ -997,7 +997,7 @@ class ControllerReadMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ParamsOriginReadMessage(Message):
-    """Asks which parameters got their values from the stored set at the start."""
+    """Asks which parameters had a value in the stored set when the board started."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN_READ
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<B")
@@ -1007,25 +1007,25 @@ class ParamsOriginReadMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class SetpointMessage(Message):
-    """Target to be reached at a device tick. The board ramps to it linearly, within its slew limits."""
+    """Target that the setpoint should reach at a tick of the board. The setpoint moves there linearly, within the limits of its rate."""
 
     ID: ClassVar[MessageId] = MessageId.SETPOINT
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<Ifff")
-    apply_tick: int  # tick at which the target is to be reached; past: immediately; more than 500 ahead: refused [tick]
+    apply_tick: int  # tick at which the setpoint should reach the target; if it is past: immediately; more than 500 ticks ahead: refused [tick]
     elevation_rad: float  # elevation target [rad]
-    pitch_rad: float  # pitch target; used only while travel is not closed [rad]
+    pitch_rad: float  # pitch target; used only while the travel loop is not closed [rad]
     travel_rad: float  # travel target [rad]
 
 
 @dataclass(frozen=True, slots=True)
 class VoltagesMessage(Message):
-    """Motor voltages in the streamed state."""
+    """Motor voltages from the host, in the state streamed."""
 
     ID: ClassVar[MessageId] = MessageId.VOLTAGES
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<ffH")
     front_V: float  # front motor [V]
     back_V: float  # back motor [V]
-    valid_ms: int  # how long it may act; then the board holds level by itself [ms]
+    valid_ms: int  # how long the voltages may act; then the board holds the arm level by itself [ms]
 
 
 @dataclass(frozen=True, slots=True)
@@ -1049,7 +1049,7 @@ class AckMessage(Message):
     command: int  # command answered [message id]
     result: int  # result [enum result]
     detail: int  # see the result's meaning
-    value: float  # value in force, or the offending quantity
+    value: float  # value in force, or the quantity that was refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -1068,8 +1068,8 @@ class WelcomeMessage(Message):
     firmware_patch: int  # version of the flight code
     board: int  # 0 native, 1 Arduino Due
     reset: int  # why the board started [enum reset]
-    boot_fault: int  # fault recorded before that start, 0 for none [enum fault]
-    boot_id: int  # 24 random bits, new at every start; together with the tick it distinguishes a reconnect from a reboot
+    boot_fault: int  # fault that was recorded before this start, 0 if none [enum fault]
+    boot_id: int  # 24 random bits, new at every start; with the tick, the host distinguishes a reconnection from a restart of the board
     tick: int  # device time [tick]
     params_source: int  # where the parameters came from [enum params_source]
 
@@ -1082,7 +1082,7 @@ class PongMessage(Message):
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BQI")
     request: int  # request number; a retry repeats it
     host_us: int  # as sent [us]
-    tick: int  # device time at the answer [tick]
+    tick: int  # tick of the board at the answer [tick]
 
 
 @dataclass(frozen=True, slots=True)
@@ -1098,7 +1098,7 @@ class ParamsMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class StatusMessage(Message):
-    """Counters since start; sent once a second with request = 0, and on status_read."""
+    """Counters since the start of the board. The board sends them once per second with request = 0, and after status_read."""
 
     ID: ClassVar[MessageId] = MessageId.STATUS
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BIIIIIIIIHHHHH")
@@ -1106,9 +1106,9 @@ class StatusMessage(Message):
     tick: int  # device time [tick]
     frames_ok: int  # frames accepted from the host
     frames_bad: int  # frames refused: COBS, length, CRC, protocol
-    frames_lost: int  # gaps in the host's sequence numbers
-    duplicates: int  # retried commands answered from memory
-    stale_streams: int  # streamed values refused
+    frames_lost: int  # frames of the host that are missing in its sequence numbers
+    duplicates: int  # repeated commands that were answered from memory
+    stale_streams: int  # streamed values that were refused
     ticks_dropped: int  # telemetry ticks not sent because the line was full [tick]
     overruns: int  # ticks that ran late
     tick_max_us: int  # longest tick [us]
@@ -1134,7 +1134,7 @@ class LawMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ControllerMessage(Message):
-    """The name of a compiled controller, in ASCII, 0 behind its end."""
+    """Name of a compiled controller in ASCII; zeros fill the rest."""
 
     ID: ClassVar[MessageId] = MessageId.CONTROLLER
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBBIIII")
@@ -1156,8 +1156,8 @@ class ParamsOriginMessage(Message):
     request: int  # request number; a retry repeats it
     source: int  # where the parameters came from [enum params_source]
     schema: int  # hash of the schema under which they were stored
-    kept: int  # stored values in force
-    dropped: int  # stored values that no parameter takes: unknown, or out of range
+    kept: int  # number of stored values that are in force
+    dropped: int  # number of stored values that were not used, because they are unknown or out of range
     new_0: int  # bit i: parameter i had no usable stored value and has its default
     new_1: int  # parameters 32 to 63
     new_2: int  # parameters 64 to 95
@@ -1165,7 +1165,7 @@ class ParamsOriginMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class TelemetryMessage(Message):
-    """A batch of consecutive ticks, delta-coded; layout below."""
+    """Samples of consecutive ticks, as differences; the section Telemetry batch gives the layout."""
 
     ID: ClassVar[MessageId] = MessageId.TELEMETRY
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<IB")
@@ -1175,7 +1175,7 @@ class TelemetryMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class EventMessage(Message):
-    """Something happened; also visible in telemetry, but with its reason here."""
+    """An event with its reason."""
 
     ID: ClassVar[MessageId] = MessageId.EVENT
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<IBBBf")

@@ -9,7 +9,7 @@
     │   ├── LinkLost            the other end went away: unplugged, closed, powered off
     │   ├── HandshakeTimeout    nothing, or no answer to hello, within the deadline
     │   ├── WrongDevice         bytes arrive, but they are not this link's frames
-    │   ├── LinkVersionMismatch the two ends were built from different declarations
+    │   ├── LinkVersionMismatch host and board were built from different declarations
     │   ├── CommandTimeout      a command was not answered within its deadline
     │   ├── CommandRefused      the board refused: result, fault or parameter, and how to fix it
     │   └── FlashError          the board's flash was not written, or what was written does not run
@@ -197,7 +197,7 @@ class WrongDevice(LinkError):
 
 
 class LinkVersionMismatch(LinkError):
-    """The two ends were built from different declarations of the link.
+    """Host and board were built from different declarations of the link.
 
     Parameters
     ----------

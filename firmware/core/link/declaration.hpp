@@ -37,15 +37,15 @@ inline constexpr std::size_t kAxisCount = 3;
 
 // State of the supervisor, sent with every tick.
 enum class State : std::uint8_t {
-  idle = 0,  // drivers disabled, motors off; the only state that may be configured freely
+  idle = 0,  // drivers disabled, motors off; the only state in which every parameter may be set
   armed = 1,  // drivers enabled at zero voltage, pre-flight checks passed
-  closed_loop = 2,  // the on-board control law flies the axes of the mask
-  open_loop = 3,  // fixed voltages plus excitation, no axis closed
-  streamed = 4,  // voltages streamed by the host, each valid for a bounded time
+  closed_loop = 2,  // the board's control law controls the axes of the axis mask
+  open_loop = 3,  // constant voltages plus excitation; no control loop is closed
+  streamed = 4,  // the host sends the motor voltages; each acts for a limited time only
   hold = 5,  // no recent setpoint: the board hovers level in place
   landing = 6,  // controlled descent to the table, then motors off
   fault = 7,  // motors off; the fault stays until clear_fault
-  emergency_landing = 8,  // descent after a fault without the axis whose reading is wrong: travel turns freely, the short arm hangs freely, or the lift of the last hover decreases steadily; then motors off, and the fault stays until clear_fault
+  emergency_landing = 8,  // descent after a fault, without control of the axis whose reading is wrong; then motors off, and the fault stays until clear_fault
 };
 inline constexpr std::size_t kStateCount = 9;
 
@@ -62,31 +62,31 @@ enum class Result : std::uint8_t {
   unsafe_now = 8,  // this parameter may only be set while idle; detail is the parameter
   flash_failed = 9,  // the parameter page could not be written and verified
   no_handshake = 10,  // hello with a matching declaration must come first
-  hash_mismatch = 11,  // the two ends were built from different declarations
-  bad_law = 12,  // the law is refused; detail is the law_error, value what is wrong with it
+  hash_mismatch = 11,  // host and board were built from different declarations
+  bad_law = 12,  // the law is refused; detail is the law_error, and the meaning of value is listed there
 };
 inline constexpr std::size_t kResultCount = 13;
 
-// Reasons for refusing a law or a part of it. The comment of each reason states the meaning of ack.value.
+// Reasons for refusing a law or a part of it. The text of each reason states the meaning of ack.value.
 enum class LawError : std::uint8_t {
   none = 0,  // nothing is wrong
   not_loaded = 1,  // no law is loaded; value 0
   flying = 2,  // the loaded law flies, so it cannot be replaced; value 0
-  too_long = 3,  // longer than an upload may be; value = largest number of words
+  too_long = 3,  // the law is too long for an upload; value = largest number of words allowed
   wrong_part = 4,  // a part beyond the end, or before law_begin; value = its first word
   incomplete = 5,  // parts are missing; value = words received
   wrong_hash = 6,  // the hash does not match the received words; value 0
-  wrong_format = 7,  // another version of the format, or counts that do not fit the length; value = words that the counts ask for
-  too_large = 8,  // more cells than there are; value = cells asked for
+  wrong_format = 7,  // another version of the format, or counts that contradict the length; value = number of words that follows from the counts
+  too_large = 8,  // the law needs more cells than there are; value = cells that it needs
   unknown_operation = 9,  // no such operation; value = place of the instruction
-  bad_cell = 10,  // a cell that may not be written, or an output from beyond the cells; value = place of the instruction, or of the output behind the last
-  not_written = 11,  // a cell is read before it is written; value = place of the instruction, or of the output behind the last
-  bad_number = 12,  // a constant, a parameter or a first state that is not finite; value = its place among them
+  bad_cell = 10,  // an instruction writes a forbidden cell, or an output names a cell that does not exist; value = place of the instruction; outputs count on after the last instruction
+  not_written = 11,  // a cell is read before it is written; value = place of the instruction; outputs count on after the last instruction
+  bad_number = 12,  // a constant, a parameter or an initial state is not finite; value = its place among these numbers
   bad_divisor = 13,  // the tick rate is not a multiple of the law's rate; value = divisor
-  too_costly = 14,  // needs more ticks than its period has; value = ticks that it needs
-  no_such_parameter = 15,  // the law has fewer parameters; value = how many
-  bad_sum = 17,  // a sum of products without terms, with too many, or beyond the end; value = place of the word
-  not_flying = 16,  // all three loops of the board must be closed, and the arm in flight; value = state
+  too_costly = 14,  // a call of the law needs more ticks than there are until the next call; value = ticks that it needs
+  no_such_parameter = 15,  // the law has no parameter with this number; value = number of its parameters
+  bad_sum = 17,  // a sum of products has no terms or too many, or its terms reach beyond the last word; value = place of the word
+  not_flying = 16,  // a law may fly only in flight, while the board controls all three axes; value = state
 };
 inline constexpr std::size_t kLawErrorCount = 18;
 
@@ -123,17 +123,17 @@ enum class Reset : std::uint8_t {
 };
 inline constexpr std::size_t kResetCount = 4;
 
-// Where the parameters of this boot came from.
+// Origin of the parameters at this start of the board.
 enum class ParamsSource : std::uint8_t {
-  defaults = 0,  // no stored set: the declared defaults
+  defaults = 0,  // the flash has no stored set, so the defaults are in force
   stored = 1,  // the newest valid copy in flash
   fallback = 2,  // the newest copy was damaged; the older valid copy is used
-  corrupt = 3,  // both copies damaged or of another format: defaults, and arming is refused until a save
-  migrated = 4,  // the newest valid copy, saved under another schema of the parameters: known values kept, new parameters at their defaults; see params_origin
+  corrupt = 3,  // both copies are damaged or have another format: the defaults are in force, and the board refuses to arm until parameters are saved
+  migrated = 4,  // the newest valid copy has another list of parameters: known values are kept, and new parameters have their defaults; see params_origin
 };
 inline constexpr std::size_t kParamsSourceCount = 5;
 
-// Kinds of excitation generated on board and added to the motor voltages.
+// Kinds of excitation, which the board adds to the motor voltages.
 enum class Excitation : std::uint8_t {
   none = 0,  // no excitation
   step = 1,  // constant amplitude for the duration
@@ -147,16 +147,16 @@ inline constexpr std::size_t kExcitationCount = 6;
 // Kinds of event messages.
 enum class Event : std::uint8_t {
   boot = 0,  // first message after start; detail = reset cause, value = boot id
-  state = 1,  // state changed; detail = new state, cause = the supervisor event that did it
-  fault = 2,  // a fault tripped; detail = fault code, value = the offending quantity
-  setpoint_stale = 3,  // setpoints stopped coming; value = rate in Hz seen over the last second before
+  state = 1,  // the state changed; detail = new state, cause = the trigger
+  fault = 2,  // a fault occurred; detail = fault code, value = the quantity that exceeded its limit
+  setpoint_stale = 3,  // setpoints stopped; value = their rate in Hz in the last second before
   setpoint_fresh = 4,  // setpoints came back while holding
   params_saved = 5,  // parameters written to flash; value = generation
   excitation_end = 6,  // excitation finished or was stopped; detail = kind
   setpoint_rejected = 7,  // a streamed value was refused; detail = result code
   zeroed = 8,  // encoder zeros taken; detail = axis mask
-  law_engaged = 9,  // a law that came over the link flies; value = its divisor of the tick's rate
-  law_taken_over = 10,  // the board's own law took over from it; detail = takeover, value as said there
+  law_engaged = 9,  // an uploaded law began to fly; value = its divisor, the number of ticks from one call to the next
+  law_taken_over = 10,  // the board's own law took over from an uploaded law; detail = takeover, and the meaning of value is listed there
   travel_probe = 11,  // the board tilts the arm to see whether the travel encoder still counts; detail = probe, value = tilt in deg
 };
 inline constexpr std::size_t kEventCount = 12;
@@ -166,12 +166,12 @@ enum class Probe : std::uint8_t {
   none = 0,  // nothing
   asked = 1,  // the tilt begins
   counts = 2,  // the encoder counts
-  silent = 3,  // it does not count, although the tilt must have turned the arm: travel_motionless
-  stopped = 4,  // no answer: the state changed, or pitch did not follow far enough
+  silent = 3,  // the encoder does not count, although the tilt must have turned the arm; the fault is travel_motionless
+  stopped = 4,  // the check ended without a result, because the state changed or pitch did not tilt far enough
 };
 inline constexpr std::size_t kProbeCount = 5;
 
-// Event that changes the supervisor's state; state events and telemetry report it as the cause.
+// Event that changes the supervisor's state. State events and telemetry report it as the cause.
 enum class Trigger : std::uint8_t {
   arm = 0,  // arm command
   stop = 1,  // stop command
@@ -205,7 +205,7 @@ inline constexpr std::uint8_t excitation = 1U << 2U;  // excitation is being add
 inline constexpr std::uint8_t link_alive = 1U << 3U;  // a valid host frame arrived within the hold time
 inline constexpr std::uint8_t pitch_limited = 1U << 4U;  // the travel loop's pitch setpoint was limited
 inline constexpr std::uint8_t overrun = 1U << 5U;  // the tick before this one was late
-inline constexpr std::uint8_t law = 1U << 6U;  // the voltages are those of a law that came over the link
+inline constexpr std::uint8_t law = 1U << 6U;  // the voltages are those of an uploaded law
 }  // namespace flags
 
 enum class Fault : std::uint8_t {
@@ -235,92 +235,92 @@ enum class Fault : std::uint8_t {
   parameters_invalid = 23,  // check: the stored parameters are damaged or contradict each other
   pitch_not_level = 24,  // check: the short arm is not level
   elevation_below_table = 25,  // land: elevation read more than 1 degree plus this tolerance below the table, where the arm cannot be
-  elevation_step = 26,  // land: elevation changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed
-  pitch_step = 27,  // land: pitch changed within 4 ms by more than the short arm can turn; until it is zeroed, nothing is armed
-  travel_step = 28,  // land: travel changed within 4 ms by more than the arm can turn; until it is zeroed, nothing is armed
+  elevation_step = 26,  // land: elevation changed within 4 ms by more than the arm can turn; the board does not arm until the axis is zeroed
+  pitch_step = 27,  // land: pitch changed within 4 ms by more than the short arm can turn; the board does not arm until the axis is zeroed
+  travel_step = 28,  // land: travel changed within 4 ms by more than the arm can turn; the board does not arm until the axis is zeroed
   elevation_rest = 29,  // trip: after landing, the arm rests without lift at another elevation than before take-off
   elevation_sign = 33,  // trip: at take-off, elevation decreased although the rotors lift: the sign of the elevation encoder is wrong
   pitch_sign = 34,  // land: pitch turned against the difference of the voltages: the sign of the pitch encoder is wrong, the motors are exchanged, or one pushes down
   travel_sign = 35,  // land: travel turned against the tilt: the sign of the travel encoder is wrong
-  watchdog = 30,  // boot: the watchdog reset the board, because control tick or idle loop hung
-  hard_fault = 31,  // boot: the processor faulted; bridges were switched off and the board reset
-  unexpected_interrupt = 32,  // boot: an interrupt without a handler; bridges were switched off and the board reset
+  watchdog = 30,  // boot: the watchdog restarted the board, because the control tick or the idle loop hung
+  hard_fault = 31,  // boot: the processor reported an error; the board switched off the motor drivers and restarted
+  unexpected_interrupt = 32,  // boot: an interrupt without a handler came; the board switched off the motor drivers and restarted
 };
 
 enum class Param : std::uint8_t {
-  elevation_counts_per_rev = 0,  // count: elevation encoder counts per revolution, x4; a negative number reverses its direction
-  pitch_counts_per_rev = 1,  // count: pitch encoder counts per revolution, x4; a negative number reverses its direction
-  travel_counts_per_rev = 2,  // count: travel encoder counts per revolution, x4; a negative number reverses its direction
-  elevation_rest_deg = 3,  // deg: elevation when the arm rests on the table, so that level is zero
-  supply_V = 4,  // V: supply voltage of the motor drivers, which full duty gives
-  motor_min_V = 5,  // V: lowest motor voltage; 0 never reverses a rotor
+  elevation_counts_per_rev = 0,  // count: counts of the elevation encoder per turn: four times its pulses; a negative number reverses its direction
+  pitch_counts_per_rev = 1,  // count: counts of the pitch encoder per turn: four times its pulses; a negative number reverses its direction
+  travel_counts_per_rev = 2,  // count: counts of the travel encoder per turn: four times its pulses; a negative number reverses its direction
+  elevation_rest_deg = 3,  // deg: elevation of the arm at rest on the table; level is 0
+  supply_V = 4,  // V: supply voltage of the motor drivers; full duty gives this voltage
+  motor_min_V = 5,  // V: lowest motor voltage; with 0, no rotor is ever reversed
   motor_max_V = 6,  // V: highest motor voltage
-  motor_front_sign = 7,  // : -1 swaps the front motor's leads in software
-  motor_back_sign = 8,  // : -1 swaps the back motor's leads in software
+  motor_front_sign = 7,  // : -1 reverses the front motor, as if its leads were swapped
+  motor_back_sign = 8,  // : -1 reverses the back motor, as if its leads were swapped
   dead_zone_V = 9,  // V: voltage below which a rotor gives no thrust (paper eq. 31); the control law adds it
   hover_V = 10,  // V: sum of both voltages, above the dead zone, that holds the arm level
   hover_slope = 11,  // V/deg: change of hover_V with elevation: masses below the axis need more lift at a higher elevation
   elevation_kp = 12,  // V/deg: elevation proportional gain (paper Table 6: 0.5)
   elevation_ki = 13,  // V/(deg s): elevation integral gain (paper Table 6: 1)
   elevation_kd = 14,  // V s/deg: elevation derivative gain, on the measurement (paper Table 6: 0.1)
-  elevation_rate_ff = 15,  // : share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only
-  elevation_acceleration_ff = 16,  // V s2/deg: voltage sum per setpoint acceleration: inertia / (thrust gain x arm)
+  elevation_rate_ff = 15,  // : share of the setpoint's rate that the derivative term uses; with 0, it uses the measured rate only
+  elevation_acceleration_ff = 16,  // V s2/deg: sum of the voltages per acceleration of the elevation setpoint: inertia / (thrust gain x arm)
   pitch_kp = 17,  // V/deg: pitch proportional gain (paper Table 6: 0.66)
   pitch_ki = 18,  // V/(deg s): pitch integral gain (paper Table 6: 3)
   pitch_kd = 19,  // V s/deg: pitch derivative gain, on the measurement (paper Table 6: 0.1)
-  pitch_hold_ff = 20,  // V/deg: difference of the voltages per degree of pitch setpoint, against masses below the pitch axis
+  pitch_hold_ff = 20,  // V/deg: difference of the voltages per degree of pitch setpoint, which holds a tilt against the weight below the pitch axis
   travel_kp = 21,  // deg/deg: travel proportional gain to the pitch setpoint (paper Table 6 with P and I exchanged: 0.7)
   travel_ki = 22,  // deg/(deg s): travel integral gain (paper Table 6 with P and I exchanged: 0.13)
   travel_kd = 23,  // deg s/deg: travel derivative gain, on the measurement (paper Table 6: 1.462)
-  travel_rate_ff = 24,  // : share of the setpoint's rate that the derivative term subtracts; 0 is derivative on measurement only
-  travel_acceleration_ff = 25,  // deg s2/deg: pitch per setpoint acceleration: inertia / (hover thrust x arm)
+  travel_rate_ff = 24,  // : share of the setpoint's rate that the derivative term uses; with 0, it uses the measured rate only
+  travel_acceleration_ff = 25,  // deg s2/deg: pitch per acceleration of the travel setpoint: inertia / (hover thrust x arm)
   elevation_integral_max_V = 26,  // V: bound of the elevation integrator
   pitch_integral_max_V = 27,  // V: bound of the pitch integrator
   travel_integral_max_deg = 28,  // deg: bound of the travel integrator
   elevation_filter_Hz = 29,  // Hz: cut-off of the elevation rate filter (two poles)
   pitch_filter_Hz = 30,  // Hz: cut-off of the pitch rate filter (two poles)
   travel_filter_Hz = 31,  // Hz: cut-off of the travel rate filter (two poles)
-  pitch_setpoint_max_deg = 32,  // deg: bound of the pitch setpoint, from the travel loop or the host
-  differential_max_V = 33,  // V: bound of front minus back; pitch has priority in the mixer, so more would lift the arm
+  pitch_setpoint_max_deg = 32,  // deg: largest pitch setpoint, from the travel loop or the host
+  differential_max_V = 33,  // V: largest difference of front and back voltage; the mixer prefers pitch to lift, so a larger difference would lift the arm
   elevation_slew_deg_s = 34,  // deg/s: fastest change of the elevation setpoint
   pitch_slew_deg_s = 35,  // deg/s: fastest change of the pitch setpoint, from the travel loop or the host
   travel_slew_deg_s = 36,  // deg/s: fastest change of the travel setpoint
   elevation_acceleration_deg_s2 = 37,  // deg/s2: fastest change of the elevation setpoint's rate, which makes a step a smooth ramp
   travel_acceleration_deg_s2 = 38,  // deg/s2: fastest change of the travel setpoint's rate; travel can only accelerate by tilting
-  bumpless_s = 39,  // s: time constant of the smooth change between modes
-  elevation_max_deg = 40,  // deg: elevation above which the board lands without the encoder; setpoints are refused from 2 degrees below it
+  bumpless_s = 39,  // s: time constant of the smooth change from one control law or state to the next
+  elevation_max_deg = 40,  // deg: limit of elevation, above which the board lands without this encoder; setpoints must be 2 degrees lower
   pitch_max_deg = 41,  // deg: pitch beyond which the motors are cut
-  travel_max_deg = 42,  // deg: travel beyond which the motors are cut; setpoints are refused from 5 degrees inside it
-  elevation_rate_max_deg_s = 43,  // deg/s: elevation rate beyond which the board lands without the encoder
+  travel_max_deg = 42,  // deg: limit of travel, beyond which the motors are cut; setpoints must stay 5 degrees inside it
+  elevation_rate_max_deg_s = 43,  // deg/s: rate of elevation beyond which the board lands without this encoder
   pitch_rate_max_deg_s = 44,  // deg/s: pitch rate beyond which the motors are cut
   travel_rate_max_deg_s = 45,  // deg/s: travel rate beyond which the motors are cut
-  encoder_illegal_max = 46,  // : illegal transitions of one encoder since arming that are tolerated
-  overrun_max = 47,  // : late ticks since arming that are tolerated
-  elevation_following_max_deg = 48,  // deg: following error of elevation, from its shaped setpoint, beyond which the board lands without the encoder after following_s
-  pitch_following_max_deg = 49,  // deg: following error of pitch beyond which the motors are cut after following_s
-  travel_following_max_deg = 50,  // deg: following error of travel, from its shaped setpoint, beyond which the board lands after following_s
-  following_s = 51,  // s: how long a following error beyond its limit is tolerated
-  elevation_motion_V = 52,  // V: change of both voltages' sum, dead zones apart, that must move elevation within motion_s; at take-off, beyond hover_V
-  pitch_motion_V = 53,  // V: change of front minus back, dead zones apart, that must move pitch within motion_s
-  motion_s = 54,  // s: how long a driven elevation or pitch may stay within one count
-  travel_motion_deg = 55,  // deg: pitch beyond the balanced one that must move travel within travel_motion_s
-  travel_motion_s = 56,  // s: with travel_motion_deg: a smaller excess is tolerated for longer, by its double integral over time
-  travel_silence_s = 57,  // s: how long travel may be without a count, in the air and held by the board, before a short tilt checks its encoder; 0: never
-  elevation_gain = 58,  // rad/(s2 V): acceleration of elevation per volt of the sum: thrust gain k L_a / J_theta; judges what elevation must have moved by
-  pitch_gain = 59,  // rad/(s2 V): acceleration of pitch per volt of front minus back: k L_h / J_phi; judges what pitch must have moved by
-  travel_gain = 60,  // 1/s2: acceleration of travel per radian of pitch at hover: thrust that carries the arm, times L_a / J_psi; judges what travel must have moved by
-  law_jump_max_V = 61,  // V: change of a motor's voltage from one tick to the next beyond which the board's own law takes over from one that came over the link
-  law_envelope = 62,  // : share of the angle and rate limits, and of the following errors, beyond which it takes over
-  arm_rate_max_deg_s = 63,  // deg/s: arming needs every axis to turn no faster than this
-  arm_elevation_tolerance_deg = 64,  // deg: arming needs the elevation this close to rest
-  arm_pitch_tolerance_deg = 65,  // deg: arming needs the pitch this close to level
+  encoder_illegal_max = 46,  // : number of illegal transitions of an encoder since arming that is tolerated
+  overrun_max = 47,  // : number of late ticks since arming that is tolerated
+  elevation_following_max_deg = 48,  // deg: limit of the distance of elevation from its moving setpoint; after following_s beyond it, the board lands without this encoder
+  pitch_following_max_deg = 49,  // deg: limit of the distance of pitch from its setpoint; after following_s beyond it, the motors are cut
+  travel_following_max_deg = 50,  // deg: limit of the distance of travel from its moving setpoint; after following_s beyond it, the board lands
+  following_s = 51,  // s: time for which an axis may be farther from its setpoint than its limit
+  elevation_motion_V = 52,  // V: change of the sum of the voltages (without dead zones) that must move elevation within motion_s; at take-off, it counts from hover_V
+  pitch_motion_V = 53,  // V: change of front minus back voltage (without dead zones) that must move pitch within motion_s
+  motion_s = 54,  // s: longest time for which elevation or pitch may stay within one count although the motors drive it
+  travel_motion_deg = 55,  // deg: additional pitch, beyond the pitch at which travel rests, that must turn the arm within travel_motion_s
+  travel_motion_s = 56,  // s: time within which travel_motion_deg must turn the arm; if the additional pitch is smaller, the arm may rest longer
+  travel_silence_s = 57,  // s: time in the air without a count of travel after which a short tilt checks the travel encoder; 0 switches this check off
+  elevation_gain = 58,  // rad/(s2 V): acceleration of elevation per volt of the voltages' sum: thrust gain k L_a / J_theta; predicts how far elevation must move
+  pitch_gain = 59,  // rad/(s2 V): acceleration of pitch per volt of front minus back voltage: k L_h / J_phi; predicts how far pitch must move
+  travel_gain = 60,  // 1/s2: acceleration of travel per radian of pitch at hover: the thrust of both rotors times L_a / J_psi; predicts how far travel must move
+  law_jump_max_V = 61,  // V: largest change of a motor's voltage from one tick to the next; if an uploaded law exceeds it, the board's own law takes over
+  law_envelope = 62,  // : share of the limits of angles, rates and distances from the setpoints; if an uploaded law exceeds it, the board's own law takes over
+  arm_rate_max_deg_s = 63,  // deg/s: the board arms only if no axis turns faster than this
+  arm_elevation_tolerance_deg = 64,  // deg: the board arms only if elevation is this close to rest
+  arm_pitch_tolerance_deg = 65,  // deg: the board arms only if pitch is this close to level
   setpoint_hold_s = 66,  // s: time without a recent setpoint after which the board holds level
   setpoint_land_s = 67,  // s: time without a recent setpoint after which the board lands
-  landing_rate_deg_s = 68,  // deg/s: descent of the elevation setpoint while landing
+  landing_rate_deg_s = 68,  // deg/s: rate at which the elevation setpoint decreases while landing
   landing_timeout_s = 69,  // s: longest landing; then the motors are switched off with a fault. A landing without the elevation encoder takes 1.5 times as long
   voltage_valid_max_ms = 70,  // ms: longest time that a streamed voltage acts
-  excitation_max_V = 71,  // V: largest amplitude that excite accepts
-  excitation_max_s = 72,  // s: longest duration that excite accepts
+  excitation_max_V = 71,  // V: largest amplitude of an excitation
+  excitation_max_s = 72,  // s: longest duration of an excitation
   telemetry_batch_ticks = 73,  // tick: ticks per telemetry batch: 20 saves bandwidth, 5 reduces the delay for a host controller
   controller = 74,  // : compiled controller that flies: its row in the board's table; a number beyond the last row is refused
 };
@@ -414,22 +414,22 @@ inline constexpr ParamInfo kParams[kParamCount] = {
 };
 
 enum class Channel : std::uint8_t {
-  elevation_count = 0,  // count: elevation encoder, level = 0, up positive
-  pitch_count = 1,  // count: pitch encoder, level = 0, front rotor up positive
-  travel_count = 2,  // count: travel encoder, 0 where the zero was taken
-  elevation_setpoint = 3,  // rad: slew-limited elevation setpoint that the control law used
+  elevation_count = 0,  // count: elevation encoder: level is 0, upwards is positive
+  pitch_count = 1,  // count: pitch encoder: level is 0, positive with the front rotor up
+  travel_count = 2,  // count: travel encoder: 0 is the position at which it was zeroed
+  elevation_setpoint = 3,  // rad: elevation setpoint that the control law used, after the limit of its rate
   pitch_setpoint = 4,  // rad: pitch setpoint that the control law used: the travel loop's output, or the host's
-  travel_setpoint = 5,  // rad: slew-limited travel setpoint that the control law used
-  front = 6,  // V: voltage that acted on the front motor during this tick: duty times supply, after every limit
+  travel_setpoint = 5,  // rad: travel setpoint that the control law used, after the limit of its rate
+  front = 6,  // V: voltage that acted on the front motor during this tick, after every limit
   back = 7,  // V: voltage that acted on the back motor during this tick
   state = 8,  // enum state: supervisor state
   fault = 9,  // enum fault: fault code, 0 while none
   flags = 10,  // bits flags: flag bits
-  trigger = 11,  // enum trigger: event that led to the present state; after a touchdown, the event that led to the landing; an event message may be lost, this cannot
-  signal_1 = 12,  // : first signal of an uploaded law, in steps of a setpoint; after the law's own signals come the board's setpoints of axes for which the law logs other ones; 0 while no law flies
-  signal_2 = 13,  // : its second signal
-  signal_3 = 14,  // : its third signal
-  signal_4 = 15,  // : its fourth signal
+  trigger = 11,  // enum trigger: event that led to the present state; after a touchdown, the event that led to the landing
+  signal_1 = 12,  // : first signal of an uploaded law; if the law logs its own setpoints, the board's setpoints follow after the law's signals; 0 while no law flies
+  signal_2 = 13,  // : second signal of an uploaded law
+  signal_3 = 14,  // : third signal of an uploaded law
+  signal_4 = 15,  // : fourth signal of an uploaded law
 };
 inline constexpr std::size_t kChannelCount = 16;
 inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {4, 4, 4, 4, 4, 4, 2, 2, 1, 1, 1, 1, 4, 4, 4, 4};
@@ -465,17 +465,17 @@ enum class LawInput : std::uint8_t {
   elevation_rad_s = 3,  // rate, filtered at elevation_filter_Hz
   pitch_rad_s = 4,  // rate, filtered at pitch_filter_Hz
   travel_rad_s = 5,  // rate, filtered at travel_filter_Hz
-  elevation_setpoint_rad = 6,  // the board's setpoint as logged: shaped, in steps of the channel
-  pitch_setpoint_rad = 7,  // the host's setpoint as logged, for a law that does not control travel
-  travel_setpoint_rad = 8,  // the board's setpoint as logged: shaped, in steps of the channel
-  elevation_setpoint_rad_s = 9,  // its rate, through the same filter as the measured rate, so that both lag equally
-  pitch_setpoint_rad_s = 10,  // its rate, likewise
-  travel_setpoint_rad_s = 11,  // its rate, likewise
-  elevation_setpoint_rad_s2 = 12,  // its acceleration: the rate through the same filter once more
-  pitch_setpoint_rad_s2 = 13,  // its acceleration, likewise
-  travel_setpoint_rad_s2 = 14,  // its acceleration, likewise
-  front_V = 15,  // voltage that acted in the tick before, as logged
-  back_V = 16,  // voltage that acted in the tick before, as logged
+  elevation_setpoint_rad = 6,  // the board's setpoint on its path, rounded as in the log
+  pitch_setpoint_rad = 7,  // the host's setpoint, for a law that does not control travel; rounded as in the log
+  travel_setpoint_rad = 8,  // the board's setpoint on its path, rounded as in the log
+  elevation_setpoint_rad_s = 9,  // rate of the setpoint of elevation, through the same filter as the measured rate, so that both lag equally
+  pitch_setpoint_rad_s = 10,  // rate of the setpoint of pitch, likewise filtered
+  travel_setpoint_rad_s = 11,  // rate of the setpoint of travel, likewise filtered
+  elevation_setpoint_rad_s2 = 12,  // acceleration of the setpoint of elevation: the change of its rate, through the same filter once more
+  pitch_setpoint_rad_s2 = 13,  // acceleration of the setpoint of pitch, likewise filtered
+  travel_setpoint_rad_s2 = 14,  // acceleration of the setpoint of travel, likewise filtered
+  front_V = 15,  // voltage that acted in the previous tick, as logged
+  back_V = 16,  // voltage that acted in the previous tick, as logged
 };
 inline constexpr std::size_t kLawInputCount = 17;
 enum class Operation : std::uint8_t {
@@ -486,18 +486,18 @@ enum class Operation : std::uint8_t {
   divide = 4,  // a / b
   negate = 5,  // -a
   absolute = 6,  // |a|
-  minimum = 7,  // the lesser; not a number (NaN) if a or b is NaN
-  maximum = 8,  // the greater; NaN if a or b is NaN
+  minimum = 7,  // the smaller of a and b; not a number (NaN) if a or b is NaN
+  maximum = 8,  // the larger of a and b; NaN if a or b is NaN
   less = 9,  // 1 if a < b, otherwise 0; NaN if a or b is NaN, as in all conditions
   less_equal = 10,  // 1 if a <= b, otherwise 0
   equal = 11,  // 1 if a = b, otherwise 0
   not_equal = 12,  // 1 if a is not b, otherwise 0
-  both = 13,  // 1 if neither is 0, otherwise 0
-  either = 14,  // 1 if one of them is not 0, otherwise 0
+  both = 13,  // 1 if neither a nor b is 0, otherwise 0
+  either = 14,  // 1 if a or b is not 0, otherwise 0
   negation = 15,  // 1 if a is 0, otherwise 0
   select = 16,  // b if a is not 0, otherwise 0; b has no effect if it is not selected
   floor = 17,  // the greatest whole number that is not above a
-  square_root = 18,  // NaN below 0
+  square_root = 18,  // square root of a; NaN below 0
   sine = 19,  // of a in rad; NaN beyond 8192 rad
   cosine = 20,  // of a in rad; NaN beyond 8192 rad
   tangent = 21,  // of a in rad; NaN beyond 8192 rad
@@ -580,7 +580,7 @@ struct HelloMessage {
   }
 };
 
-// Heartbeat and clock exchange.
+// Shows that the host is alive, and compares the clocks of host and board.
 struct PingMessage {
   static constexpr MessageId kId = MessageId::ping;
   static constexpr std::size_t kSize = 9;
@@ -599,7 +599,7 @@ struct PingMessage {
   }
 };
 
-// Runs the pre-flight checks; enables the drivers at zero voltage when they pass.
+// Runs the checks before a flight. If they pass, it enables the drivers at zero voltage.
 struct ArmMessage {
   static constexpr MessageId kId = MessageId::arm;
   static constexpr std::size_t kSize = 1;
@@ -615,7 +615,7 @@ struct ArmMessage {
   }
 };
 
-// Motors off now, from any state; also ends the armed state.
+// Switches the motors off immediately, in any state. It also ends the armed state.
 struct StopMessage {
   static constexpr MessageId kId = MessageId::stop;
   static constexpr std::size_t kSize = 1;
@@ -631,7 +631,7 @@ struct StopMessage {
   }
 };
 
-// Closes the loops of the mask; the other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
+// Closes the control loops of the axes in the mask. The other axes get their share of the given voltages. If the mask is 0, no loop is closed (open loop).
 struct ControlMessage {
   static constexpr MessageId kId = MessageId::control;
   static constexpr std::size_t kSize = 10;
@@ -656,7 +656,7 @@ struct ControlMessage {
   }
 };
 
-// Hands the motor voltages to the host's voltage stream.
+// From now on, the host sends the motor voltages (message voltages).
 struct StreamMessage {
   static constexpr MessageId kId = MessageId::stream;
   static constexpr std::size_t kSize = 1;
@@ -672,7 +672,7 @@ struct StreamMessage {
   }
 };
 
-// Controlled descent, then motors off.
+// Lands the arm under control, then switches the motors off.
 struct LandMessage {
   static constexpr MessageId kId = MessageId::land;
   static constexpr std::size_t kSize = 1;
@@ -688,7 +688,7 @@ struct LandMessage {
   }
 };
 
-// Starts an excitation on top of whatever drives the motors.
+// Starts an excitation, which is added to the motor voltages.
 struct ExciteMessage {
   static constexpr MessageId kId = MessageId::excite;
   static constexpr std::size_t kSize = 26;
@@ -741,7 +741,7 @@ struct ExciteStopMessage {
   }
 };
 
-// Sets one parameter in memory; ack.value is the value now in force.
+// Sets one parameter in memory. ack.value is the value that is now in force.
 struct ParamSetMessage {
   static constexpr MessageId kId = MessageId::param_set;
   static constexpr std::size_t kSize = 6;
@@ -782,7 +782,7 @@ struct ParamsReadMessage {
   }
 };
 
-// Writes all parameters to flash; only while idle.
+// Writes all parameters to the flash, only while the board is idle.
 struct ParamsSaveMessage {
   static constexpr MessageId kId = MessageId::params_save;
   static constexpr std::size_t kSize = 1;
@@ -798,7 +798,7 @@ struct ParamsSaveMessage {
   }
 };
 
-// Puts the declared defaults into memory; only while idle; does not save.
+// Sets all parameters to their defaults in memory, only while the board is idle. It does not save them.
 struct ParamsDefaultMessage {
   static constexpr MessageId kId = MessageId::params_default;
   static constexpr std::size_t kSize = 1;
@@ -814,7 +814,7 @@ struct ParamsDefaultMessage {
   }
 };
 
-// Takes the present position as rest (elevation) or zero (pitch, travel); only while idle.
+// Makes the present position the rest position (elevation) or zero (pitch, travel), only while the board is idle.
 struct ZeroMessage {
   static constexpr MessageId kId = MessageId::zero;
   static constexpr std::size_t kSize = 2;
@@ -833,7 +833,7 @@ struct ZeroMessage {
   }
 };
 
-// Leaves the fault state for idle.
+// Changes the state from fault to idle.
 struct ClearFaultMessage {
   static constexpr MessageId kId = MessageId::clear_fault;
   static constexpr std::size_t kSize = 1;
@@ -849,7 +849,7 @@ struct ClearFaultMessage {
   }
 };
 
-// Asks for the counters now; they also come once a second.
+// Asks for the counters. The board also sends them once per second.
 struct StatusReadMessage {
   static constexpr MessageId kId = MessageId::status_read;
   static constexpr std::size_t kSize = 1;
@@ -958,7 +958,7 @@ struct LawEndMessage {
   }
 };
 
-// Flies the law from the next tick on, or lets the board's own law take over. ack.detail: the state.
+// Starts the law at the next tick, or lets the board's own law take over. ack.detail: the state.
 struct LawFlyMessage {
   static constexpr MessageId kId = MessageId::law_fly;
   static constexpr std::size_t kSize = 2;
@@ -1034,7 +1034,7 @@ struct ControllerReadMessage {
   }
 };
 
-// Asks which parameters got their values from the stored set at the start.
+// Asks which parameters had a value in the stored set when the board started.
 struct ParamsOriginReadMessage {
   static constexpr MessageId kId = MessageId::params_origin_read;
   static constexpr std::size_t kSize = 1;
@@ -1050,7 +1050,7 @@ struct ParamsOriginReadMessage {
   }
 };
 
-// Target to be reached at a device tick. The board ramps to it linearly, within its slew limits.
+// Target that the setpoint should reach at a tick of the board. The setpoint moves there linearly, within the limits of its rate.
 struct SetpointMessage {
   static constexpr MessageId kId = MessageId::setpoint;
   static constexpr std::size_t kSize = 16;
@@ -1075,7 +1075,7 @@ struct SetpointMessage {
   }
 };
 
-// Motor voltages in the streamed state.
+// Motor voltages from the host, in the state streamed.
 struct VoltagesMessage {
   static constexpr MessageId kId = MessageId::voltages;
   static constexpr std::size_t kSize = 10;
@@ -1242,7 +1242,7 @@ struct ParamsMessage {
   }
 };
 
-// Counters since start; sent once a second with request = 0, and on status_read.
+// Counters since the start of the board. The board sends them once per second with request = 0, and after status_read.
 struct StatusMessage {
   static constexpr MessageId kId = MessageId::status;
   static constexpr std::size_t kSize = 43;
@@ -1326,7 +1326,7 @@ struct LawMessage {
   }
 };
 
-// The name of a compiled controller, in ASCII, 0 behind its end.
+// Name of a compiled controller in ASCII; zeros fill the rest.
 struct ControllerMessage {
   static constexpr MessageId kId = MessageId::controller;
   static constexpr std::size_t kSize = 19;
@@ -1395,7 +1395,7 @@ struct ParamsOriginMessage {
   }
 };
 
-// A batch of consecutive ticks, delta-coded; layout below.
+// Samples of consecutive ticks, as differences; the section Telemetry batch gives the layout.
 struct TelemetryMessage {
   static constexpr MessageId kId = MessageId::telemetry;
   static constexpr std::size_t kSize = 5;
@@ -1413,7 +1413,7 @@ struct TelemetryMessage {
   }
 };
 
-// Something happened; also visible in telemetry, but with its reason here.
+// An event with its reason.
 struct EventMessage {
   static constexpr MessageId kId = MessageId::event;
   static constexpr std::size_t kSize = 11;

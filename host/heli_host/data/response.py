@@ -151,8 +151,8 @@ class StepMetrics:
     overshoot_percent : float
         Largest excess over the end of the step, as a share of the step [%].
     settling_s : float
-        Time from the step until the angle stays within 5 % of its end [s]; nan if it never does. Where the
-        encoder leaves the angle open between two counts, the angle nearest to the end counts.
+        Time from the step until the angle stays within 5 % of its end [s]; nan if it never does. Between two
+        counts of the encoder, the angle nearest to this end is used.
     """
 
     rise_s: float

@@ -395,7 +395,7 @@ def _tracking_errors(now: Any) -> Any:
 def from_gain(
     K: npt.ArrayLike, *, hover_V: float, rate_Hz: float = 1000.0, dead_zone_V: float = 1.0, name: str = "gain"
 ) -> Law:
-    """Make a law from a gain matrix: collective and differential are hover's minus ``K`` times the error.
+    """Make a law from a gain matrix: the voltages at hover minus ``K`` times the errors.
 
     Parameters
     ----------

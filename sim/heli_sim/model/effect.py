@@ -107,8 +107,8 @@ class Operands:
     locked : casadi.SX
         1 for each of elevation, pitch and travel that is locked, else 0; shape (3, 1).
     thrust_N : casadi.SX
-        Thrust of the front and the back rotor, shape (2, 1): in a torque the final one; in a thrust and in
-        the rates of an effect's states that of the effects before it. Zero in a measurement.
+        Thrust of the front and the back rotor, shape (2, 1). For torques, it is the final thrust; for thrusts
+        and for rates of an effect's states, the thrust after the effects before it; for measurements, zero.
     """
 
     state: Mapping[str, ca.SX]
@@ -159,35 +159,35 @@ class Effect:
     Parameters
     ----------
     name : str
-        Name of the effect, with its axis or rotor where it has one, as in ``coulomb_friction.travel``.
+        Name of the effect, with its axis or rotor if it has one, as in ``coulomb_friction.travel``.
     parameters : tuple of Quantity
-        Numbers of its own, none of them a number of the rig. Their names begin with `prefix`.
+        Parameters that the effect adds to those of the rig. Their names begin with `prefix`.
     values : Mapping[str, float]
         Value of each of `parameters`.
     states : tuple of Quantity
-        States of its own; they start at 0. Their names begin with `prefix`.
+        States that the effect adds; they start at 0. Their names begin with `prefix`.
     priors : Mapping[str, Prior]
-        What is known before a flight of those of `parameters` that a flight may find; the others are fixed.
+        Distributions before a flight, for the `parameters` that may be estimated; the others are fixed.
     delay : str
-        Name of the one of `parameters`, in s, by which the voltages act late; empty for no delay. Programs
-        that integrate the model must pass it voltages that are late by this time.
+        Name of the parameter that is a delay of the voltages, in s; empty for no delay. Programs that
+        integrate the model must pass it voltages that are delayed by this time.
     noise_inputs : int
         Dimension of the white noise that drives its states in a simulation.
     measured_as : Mapping[str, str]
-        Those of `states` that an encoder measures, by name, with the axis: their value at any moment of a
-        flight is the measured angle.
+        Axis of each state that an encoder measures, by the state's name: at any moment of a flight, the
+        value of this state is the measured angle.
     direction_of : Mapping[str, str]
-        Those of `states` that are the direction in which an axis has moved last, -1 to 1, by name, with the
-        axis: a measured flight shows it.
+        Axis of each state that is the direction in which the axis moved last, -1 to 1, by the state's name.
+        A measured flight shows this direction.
     multimodal : tuple of str
-        Those of `parameters` in which the likelihood is multimodal, such as a frequency: a fit has to start
-        near their values, and holds them while other parameters are still far off.
+        Names of the parameters in which the likelihood is multimodal, such as a frequency. A fit has to start
+        near their values, and holds them while other parameters are still far from their estimates.
     linearisable : bool
         True if a linear model at hover contains the effect.
     flight : str
         Label of the flight in which it happens at the moment ``at_s``; empty if it happens in every flight.
     other_moments_s : Mapping[str, float]
-        With `flight`: moments in further flights, by label. In flights without one it never happens.
+        With `flight`: moments in further flights, by label. In all other flights, it never happens.
     """
 
     name: str

@@ -104,7 +104,7 @@ def truth_path(log: Path) -> Path:
 
 def hide(text: str) -> str:
     """Remove addresses and boot ids from a `text`: an address contains rig, effects and seed, and the seed
-    settles the boot id.
+    determines the boot id.
     """
     return _BOOT_ID.sub("boot id hidden", _ADDRESS.sub("the board", text))
 

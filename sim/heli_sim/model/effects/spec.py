@@ -33,26 +33,26 @@ class Parameter:
     Parameters
     ----------
     name : str
-        Its name, without the effect's; ends in the unit.
+        Name without that of the effect; it ends in the unit.
     unit : str
         Unit, spelled as in rig files; ``1`` for a share.
     meaning : str
         One line in words.
     typical : float
-        A size at which the effect shows clearly, or for a parameter that is no size the value to start from.
+        Size at which the effect is clearly visible; for a parameter that is no size, the start value of a
+        fit.
     prior : Prior or None
-        What is known before a flight; None for a parameter that is never estimated. That of a size is
-        several typical sizes wide: a narrow one pulls a large effect towards nothing (a spring 14 standard
-        deviations stiff lost 68 of 108 nats to a curve).
+        Distribution before the flights are used; None for a parameter that is never estimated. The prior of a
+        size should be several typical sizes wide, because a narrow prior makes large effects too small.
     size : bool
-        Whether it measures the size of the effect: at `neutral` there is no effect, and the model is about
-        linear in it.
+        Whether it measures the size of the effect: at `neutral` there is no effect, and the effect grows
+        about in proportion to it.
     neutral : float or None
-        Value at which the effect does nothing while derivatives still exist; of a parameter that is no size,
-        any value does. None stands for 0 where it is a size, and for `typical` where it is none.
+        Value at which the effect does nothing, but has derivatives; any value for a parameter that is no
+        size. None means 0 for a size, and `typical` for another parameter.
     grid : tuple of float, callable or None
-        Values to start from where the likelihood is multimodal in this parameter; a callable gets the
-        flight's length in s.
+        Start values, if the likelihood is multimodal in this parameter; a callable gets the flight's length
+        in s.
     """
 
     name: str
@@ -81,12 +81,12 @@ class ChangeSpec:
     Parameters
     ----------
     sizes : tuple of float
-        Prior standard deviation of each number of the change, SI: the size that such changes usually have.
+        Prior standard deviation of each number of the change, in SI units: the usual size of such changes.
     positive, negative : str
-        Sentence for a positive and for a negative first number; ``{}`` is its amount.
+        Sentences for a positive and for a negative first number, with ``{}`` for its size.
     numbers : tuple of str
-        Parameters by which the change is a derivative, by full name, at most two; empty for the effect's
-        first parameter alone. Names joined by ``+`` change alike.
+        Full names of the parameters that change, at most two; empty for the effect's first parameter alone.
+        Parameters whose names are joined by ``+`` change by the same amount.
     is_ramp : bool
         True if the change grows from its onset at a constant rate; False for a step.
     """
@@ -109,12 +109,13 @@ class EffectFamily:
     unclear : str
         Statement that flights do not distinguish its members.
     sentence : str
-        The number that all members have in common in words, with ``{}`` in its place; empty without one.
+        Sentence about the number that all members have in common, with ``{}`` in its place; empty if there
+        is none.
     unit : str
         Unit of the number.
     in_part : bool
-        True if members are alike for some of their parameters only: the number then has a meaning only where
-        flights do not distinguish them.
+        True if only some values of their parameters make the members similar: the number then has a meaning
+        only if the flights do not distinguish them.
     """
 
     name: str
@@ -131,11 +132,11 @@ class EffectSpec:
     Parameters
     ----------
     id : str
-        Its name, with the axis, rotor or term after a dot where it has one.
+        Name, followed by a dot and the axis, the rotor or the term, if there is one.
     effect : type of Effect
-        Class of its equations; made with the keyword arguments of `Effect`.
+        Class of the equations; its constructor takes the keyword arguments of `Effect`.
     sentence : str
-        One sentence for the report, with ``{what}`` where the parameter of that name belongs.
+        Sentence for the report; ``{name}`` stands for the value of the parameter ``name``.
     equation : str
         LaTeX.
     acts_on : str
@@ -147,36 +148,37 @@ class EffectSpec:
     source : str
         Where the equation comes from.
     delay : str
-        Which of its parameters delays the voltages; empty for none.
+        Name of the parameter that delays the voltages; empty for none.
     noise_inputs : int
         Dimension of the white noise that drives its states in a simulation.
     measured_as : Mapping[str, str]
         States that an encoder measures, and the axis of each.
     needs : tuple of str
-        Rig parameters that a model must use for the effect to make sense.
+        Rig parameters that a model must have for the effect to make sense.
     models : tuple of str
-        Names of the models that it makes sense for; empty for all that have what it needs.
+        Names of the models for which the effect makes sense; empty for all models with the parameters
+        `needs`.
     baseline : bool
-        Whether it takes away a term that the model has, instead of adding one that it lacks.
+        Whether the effect removes a term of the model instead of adding one.
     override : Mapping[str, float]
         With `baseline`: rig parameters, and the value that each has without the term.
     contains : Mapping[str, Mapping[str, str]]
-        Effects that this one is with the rest of its parameters at their neutral values (nested models): by
-        id, for each of their parameters that of this one; both named without the effects' names.
+        Effects that are special cases of this one (nested models), by id. Each entry maps the parameters of
+        the special case to those of this effect, by short names; the other parameters are neutral.
     excludes : tuple of str
         Ids of further effects that no model may have together with this one; naming one side is enough.
     family : EffectFamily or None
         Family that it belongs to.
     family_numbers : Mapping[str, float]
-        Weights of the parameters whose sum is the family's number, by name without the effect's name.
+        Weights of the parameters in the sum that is the family's number, by short name.
     family_divisor : str
         Rig parameter by which that sum is divided; empty for none.
     linearisable : bool
-        True if a linear model at hover contains the effect. False for what is not smooth there or biases a
-        measurement only. The design of gains reports effects that its linear plants do not contain.
+        True if a linear model at hover contains the effect; False if the effect is not smooth there, or only
+        biases a measurement. The design of gains reports effects that its linear plants do not contain.
     time_varying : bool
         True if the effect changes the rig during a flight, as a step or a fade; it is then in no linear
-        plant, and an experiment for it must last.
+        plant, and an experiment for it must last longer.
     change : ChangeSpec or None
         The effect as a sudden change in flight; None if a twin does not look for it.
     rank : int
