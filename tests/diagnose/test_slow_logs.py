@@ -91,6 +91,13 @@ def test_a_delay_is_no_advance() -> None:
     assert most_likely_advance(0.0, 10.0, 25.0, (0.0, 0.45, 1.0)).rows == 0.45
 
 
+def test_an_advance_smaller_than_that_of_any_slower_log_is_none() -> None:
+    clear, unclear = 3000.0, 400.0  # 0.147 rows, known to 0.018 and to 0.05 rows: 32 and 4 nats
+    assert most_likely_advance(0.0, 0.147 * clear, clear).nats == 0.0
+    assert most_likely_advance(0.0, 0.24 * clear, clear).rows == pytest.approx(0.24)
+    assert most_likely_advance(0.0, 0.16 * unclear, unclear).rows == pytest.approx(0.16)
+
+
 def test_only_a_slow_log_has_a_note() -> None:
     assert slow_log_notes([record(0.0)]) == []
     (note,) = slow_log_notes([record(0.45), record(0.45)])
