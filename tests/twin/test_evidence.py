@@ -9,7 +9,8 @@ import pytest
 from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.fit.linearised_flight import BLOCK_s
 from heli_lab.watch.calibration import SEGMENT_s, Tail, fit_tail
-from heli_lab.watch.learn import DETECTABLE_WITHIN_s, Draws, at_least_rounding
+from heli_lab.watch.disturbances import DETECTABLE_WITHIN_s, at_least_rounding
+from heli_lab.watch.learn import Draws
 from heli_lab.watch.likelihood_ratio import (
     CUT_OFF_STD,
     KEPT,

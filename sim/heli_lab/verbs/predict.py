@@ -72,8 +72,8 @@ def predict(
     from heli_sim.rig import load_rig
 
     from heli_lab.watch.acting_voltages import acting_flights
+    from heli_lab.watch.disturbances import learn_disturbances
     from heli_lab.watch.forecast import draw_forecasts, errors_json, forecasts_of, horizon_errors
-    from heli_lab.watch.learn import learn_disturbances
 
     check_result_places(json, figure=figure)
     data_on_stdout(json)

@@ -19,7 +19,7 @@ from heli_lab.explain.assessment import estimated_advance
 from heli_lab.explain.screening import Screening
 from heli_lab.fit.records import Record, prepare
 from heli_lab.fit.voltage_timing import may_be_slower, sampled, slow_log_note, with_acting_voltages
-from heli_lab.watch.learn import estimate_with_fixed_rig
+from heli_lab.watch.disturbances import estimate_with_fixed_rig
 
 
 def with_likely_advance(

@@ -24,7 +24,6 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_sim.model.effect import AXES
-from scipy.stats import mannwhitneyu
 
 from heli_lab.explain.result import Diagnosis, model_and_rig
 from heli_lab.fit.problem import PER_FLIGHT
@@ -261,6 +260,9 @@ def _chance_of(squares: Floats, is_inside: Booleans) -> float:
     """Return the probability of errors as large as those inside if these do not differ from the others."""
     if min(is_inside.sum(), (~is_inside).sum()) < _MIN_FORECASTS:
         return 1.0
+    # The import takes half a second of CPU time, which only unexplained errors need.
+    from scipy.stats import mannwhitneyu
+
     return float(mannwhitneyu(squares[is_inside], squares[~is_inside], alternative="greater").pvalue)
 
 

@@ -57,7 +57,9 @@ _AXIS_COUNT: Final = 3
 
 @dataclass(frozen=True)
 class Forecasts:
-    """Forecasts of one flight by one model. A horizon at which the flight was not measured is nan."""
+    """Forecasts of one flight by one model. A horizon that was not forecast, or at which the flight was not
+    measured, is nan.
+    """
 
     label: str  # Name of the flight
     start_s: Floats  # (k,): Time of each start on the clock of the flight [s]
@@ -75,7 +77,8 @@ class Forecasts:
 
     def errors_rad(self, horizon: int) -> Floats:
         """Return the errors at a horizon, predicted less measured, (k, 3) [rad]."""
-        point = round(HORIZONS_s[horizon] / _PATH_EVERY_s)
+        # Beyond the end of the path, `measured_rad` is nan.
+        point = min(round(HORIZONS_s[horizon] / _PATH_EVERY_s), len(self.path_s) - 1)
         return np.asarray(self.path_rad[:, point] - self.measured_rad[:, horizon])
 
     def squares_rad2(self, horizon: int) -> Floats:
@@ -118,8 +121,9 @@ def forecasts_of(
     flight: Flight,
     label: str,
     span_s: tuple[float | None, float | None] = (None, None),
+    longest_s: float = HORIZONS_s[-1],
 ) -> Forecasts:
-    """Forecast a flight with the equations `model` and the parameters of `rig`."""
+    """Forecast a flight with the equations `model` and the parameters of `rig`, up to `longest_s` ahead."""
     # The `disturbances` decide how much the filter believes a measurement. A TwinError is raised if the part
     # of the flight between the times `span_s` is too short.
     samples, sample_s = samples_of(flight)
@@ -132,11 +136,13 @@ def forecasts_of(
             f"{label} has less than {_SETTLE_s + HORIZONS_s[0]:g} s of uninterrupted free flight to forecast",
             "give a longer flight, or a wider part of it with --from and --to",
         )
-    path_s = np.asarray(np.arange(round(HORIZONS_s[-1] / _PATH_EVERY_s) + 1) * _PATH_EVERY_s, float)
+    path_s = np.asarray(np.arange(round(longest_s / _PATH_EVERY_s) + 1) * _PATH_EVERY_s, float)
     path_rad = _simulate(twin, disturbances, filtered, path_s)
     first = np.array([start.step for start in filtered.starts])
     measured_rad = np.full((len(first), len(HORIZONS_s), _AXIS_COUNT), np.nan)
     for horizon, horizon_s in enumerate(HORIZONS_s):
+        if horizon_s > longest_s:
+            continue
         steps = round(horizon_s / filtered.step_s)
         rows = np.minimum(first + steps, len(filtered.segment) - 1)
         is_free = (first + steps < len(filtered.segment)) & (

@@ -14,13 +14,13 @@ s+ = F s + Gamma df/dv.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from heli_host.data.arrays import Floats
 from heli_sim.model.effect import AXES
-from scipy.special import erf
 
 from heli_lab.fit import _kalman
 from heli_lab.fit.flight_model import TORQUE_STD_Nm
@@ -173,7 +173,7 @@ class KalmanFilter:
         # Dry friction has the sign of the rate. The mean sign of an uncertain rate is smaller than one.
         rate_std_rad_s = np.linalg.norm(self._root[3:6], axis=1)
         for column, axis in twin.frictions:
-            mean_sign = erf(abs(self.mean[3 + axis]) / (_SIGN_WIDTH_STDS * rate_std_rad_s[axis]))
+            mean_sign = math.erf(abs(self.mean[3 + axis]) / (_SIGN_WIDTH_STDS * rate_std_rad_s[axis]))
             state_by_parameter[:, column] *= mean_sign
         state_by_error = state_by_parameter @ self._directions
         transition = np.zeros((self._order, self._order))

@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.data.arrays import Floats, Integers
 from heli_sim.model.effect import AXES
-from scipy.special import log_ndtr, logsumexp
 
 from heli_lab.fit.linearised_flight import BLOCK_s
 from heli_lab.watch.twin_model import Change
@@ -215,6 +214,9 @@ class LikelihoodRatio:
         """Return the evidence [nats] of each change at each onset, (changes, onsets) or with draws in
         front.
         """
+        # The import takes a fifth of a second of CPU time; forecasts need this module, and no evidence.
+        from scipy.special import log_ndtr
+
         # Unused onsets and jumps of an encoder below the smallest reported one have the evidence -inf.
         # Log of the Bayes factor with normal priors: 1/2 b' (S + 1/P)^-1 b - 1/2 log det(1 + P S).
         evidence = 0.5 * estimates.quadratic_form - 0.5 * np.log(estimates.determinant)
@@ -255,6 +257,8 @@ class LikelihoodRatio:
 
     def ranking(self, *, from_start: bool = False) -> list[ChangeCandidate]:
         """Return all changes, the most likely first."""
+        from scipy.special import logsumexp
+
         # The evidence of a change is the mean of its likelihood ratios over the onsets, which have the same
         # prior probability. Size and onset are those of the most likely onset. The last draw counts. The
         # priors are those of changes in flight, or of differences with which a flight begins (`from_start`).

@@ -21,8 +21,8 @@ from heli_lab.explain.prediction import ErrorReduction
 from heli_lab.explain.result import Diagnosis, Proposal, model_and_rig
 from heli_lab.explain.thresholds import MATTERS_COUNTS
 from heli_lab.fit.records import Record
+from heli_lab.watch.disturbances import learn_disturbances
 from heli_lab.watch.forecast import Forecasts, HorizonErrors, MAIN_HORIZON_s, errors_at, forecasts_of
-from heli_lab.watch.learn import learn_disturbances
 from heli_lab.watch.steps import count_rad_of
 
 MAX_RATIO: Final = 1.1
@@ -238,12 +238,12 @@ class Forecaster:
 
 
 def forecast_flights(model: Model, rig: Rig, judged: Sequence[JudgedFlight]) -> list[Forecasts]:
-    """Forecast the flights that are long enough; raise the last error if none is."""
+    """Forecast the flights that are long enough up to `MAIN_HORIZON_s`; raise the last error if none is."""
     forecasts, refused = [], HeliError("no flight was given", "give a flight to --validate")
     for label, flight, span_s in judged:
         try:
             disturbances = learn_disturbances(model, rig, flight, label)
-            forecasts.append(forecasts_of(model, rig, disturbances, flight, label, span_s))
+            forecasts.append(forecasts_of(model, rig, disturbances, flight, label, span_s, MAIN_HORIZON_s))
         except (TwinError, IdentifyError) as error:
             refused = error
     if not forecasts:

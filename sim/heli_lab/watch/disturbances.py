@@ -1,0 +1,90 @@
+"""Disturbances of flights of a rig whose parameters are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from heli_host.data.arrays import Floats
+from heli_host.data.flight import Flight
+from heli_sim.model.base import Model
+from heli_sim.model.effect import AXES
+from heli_sim.model.linear import derivatives
+from heli_sim.rig import Rig
+
+from heli_lab.fit.estimator import Estimate, estimate
+from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.records import Record, prepare
+from heli_lab.fit.reference_trajectory import ReferenceTrajectory
+from heli_lab.watch.twin_model import TwinModel
+
+DETECTABLE_WITHIN_s: Final = 0.5
+"""Time within which a gust must move an axis by the rounding of its encoder to be detectable, s. It equals
+the correlation time of the gusts of a quiet room. Longer: the lower bound admits gusts that no flight shows.
+Shorter: the lower bound exceeds the gusts of a quiet room."""
+
+
+class FixedRigEstimate(NamedTuple):
+    """Disturbances and constants of flights, estimated with the parameters of the rig fixed."""
+
+    model: Model  # Equations without random disturbances
+    records: Sequence[Record]
+    references: list[ReferenceTrajectory]
+    all_parameters: RigParameters  # Parameters of the rig, then the constants of each flight
+    fixed: dict[str, float]  # Value of each parameter of the rig
+    estimate: Estimate  # Encoder zeros and constant torques of each flight, and its disturbances
+    disturbances: DisturbanceModel  # The same disturbances, at least those that the encoders can show
+
+
+def estimate_with_fixed_rig(model: Model, rig: Rig, records: Sequence[Record]) -> FixedRigEstimate:
+    """Estimate the disturbances and the constants of each flight."""
+    twin_model = TwinModel(model, rig, changes=()).model
+    references = [filter_record(record) for record in records]
+    all_parameters = RigParameters(twin_model, rig, records)
+    names = twin_model.parameter_names
+    rig_values = dict(zip(names, twin_model.parameter_values(rig), strict=True))
+    shared = [parameter.quantity for parameter in all_parameters.free if parameter.record is None]
+    fixed = {name: float(rig_values[name]) for name in shared}
+    flight_constants = RigParameters(twin_model, rig, records, fixed)
+    functions = model_functions(twin_model, flight_constants.quantities)
+    constants = estimate(flight_constants, references, functions, flight_constants.start)
+    count_rad = np.min([record.count_rad for record in records], axis=0)
+    disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
+    return FixedRigEstimate(twin_model, records, references, all_parameters, fixed, constants, disturbances)
+
+
+def learn_disturbances(model: Model, rig: Rig, flight: Flight, label: str) -> DisturbanceModel:
+    """Estimate the disturbances of a flight with the parameters of the rig fixed."""
+    return estimate_with_fixed_rig(model, rig, [prepare(flight, rig, label)]).disturbances
+
+
+def at_least_rounding(
+    disturbances: DisturbanceModel, model: Model, rig: Rig, count_rad: Floats
+) -> DisturbanceModel:
+    """Raise disturbances to the smallest ones that the encoders can show. Shapes: `count_rad` (3,)."""
+    # A gust is not detectable if it moves an axis within `DETECTABLE_WITHIN_s` by less than the standard
+    # deviation of the rounding, a count over the root of 12. Estimates below that bound are arbitrary.
+    model_without_effects = type(model)()
+    names = model_without_effects.parameter_names
+    torques = [names.index(f"torque_{axis}") for axis in AXES]
+    # The inertias of the level arm at rest depend on no voltage, so a rig that cannot hover has them too.
+    level = np.zeros(len(model_without_effects.states))
+    by_torque = derivatives(model_without_effects, rig, level, np.zeros(2)).P[3:6, torques]
+    rounding_rad = count_rad / 12.0**0.5
+    # A constant torque moves an axis at rest by acceleration * t^2 / 2.
+    min_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * DETECTABLE_WITHIN_s**2)
+    # A shorter gust moves an axis less: by the square root of the number of impulses that add up.
+    averaging_factor = np.minimum(
+        np.sqrt(8.0 * disturbances.correlation_time_s / (3.0 * DETECTABLE_WITHIN_s)), 1.0
+    )
+    is_undetectable = disturbances.fast_std * averaging_factor < min_Nm
+    return replace(
+        disturbances,
+        fast_std=np.where(is_undetectable, min_Nm, disturbances.fast_std),
+        correlation_time_s=np.where(is_undetectable, DETECTABLE_WITHIN_s, disturbances.correlation_time_s),
+        quantisation=np.maximum(disturbances.quantisation, 1.0),
+        curvature=None,
+    )
