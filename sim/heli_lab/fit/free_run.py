@@ -456,16 +456,17 @@ class _Step:
 
 def kernel(model: Model, free: tuple[str, ...], threads: int | None = None) -> Kernel:
     """Return the kernel of a model: compiled if there is a C compiler, otherwise interpreted."""
-    functions, library = _functions_and_library(model, free)
+    functions, source = _functions_and_source(model, free)
+    library = compile_source("identify", source)
     if library is None:
         return InterpretedKernel(functions)
     return CompiledKernel(functions, str(library), default_thread_count() if threads is None else threads)
 
 
 @functools.lru_cache(maxsize=4)
-def _functions_and_library(model: Model, free: tuple[str, ...]) -> tuple[Functions, Path | None]:
-    """Return the functions of a kernel, and its compiled library if there is a C compiler."""
+def _functions_and_source(model: Model, free: tuple[str, ...]) -> tuple[Functions, str]:
+    """Return the functions of a kernel, and its source in C."""
     # The results are kept, because flights are predicted one after the other with the same model, and
     # deriving its equations takes as long as predicting one flight.
     functions = Functions(model, free)
-    return functions, compile_source("identify", kernel_source(functions))
+    return functions, kernel_source(functions)

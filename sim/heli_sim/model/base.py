@@ -110,6 +110,15 @@ class Model(ABC):
         """Whether the class alone determines the equations: no effects, and no constructor of its own."""
         return not self.effects and type(self).__init__ is Model.__init__
 
+    # Plain models of a class are equal, so that what is derived from their equations is derived once.
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Model) and self.is_plain and other.is_plain:
+            return type(self) is type(other)
+        return self is other
+
+    def __hash__(self) -> int:
+        return hash(type(self)) if self.is_plain else object.__hash__(self)
+
     def values_in(self, label: str, values: Floats) -> Floats:
         """Return the values of all parameters in one flight, named by `label`.
 
