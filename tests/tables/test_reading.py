@@ -72,6 +72,15 @@ LINES = {
         "ready",
         *(f"[INFO] [{t + 1e9:.4f}] [heli]: n={t} x={x} y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),
     ],
+    "brackets": [
+        "[10:58:59.900] x,y",
+        *(f"[{s}] {x},{y}" for s, x, y in zip(STAMPS, X, Y, strict=True)),
+    ],
+    "time without a name": [
+        "configsip: 0, SPIWP:0xee",
+        *(f"{t:.3f};n={t};x={x};y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),
+    ],
+    "JSON": [f'{{"timestamp": {t:.3f}, "x": {x}, "y": {y}}}' for t, x, y in zip(T_S, X, Y, strict=True)],
 }
 
 
@@ -85,6 +94,33 @@ def test_lines_that_name_their_values_or_their_reception(kind: str, tmp_path: Pa
     if kind != "serial plotter":
         times = table.columns["timestamp"].values
         assert times[-1] - times[0] == pytest.approx(T_S[-1], abs=1e-3)
+
+
+def test_a_checksum_is_no_part_of_the_last_number(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("\n".join(f"$HELI,{t},{x},{y}*5A" for t, x, y in zip(T_S, X, Y, strict=True)))
+    assert_same_columns(read_table(path), "column 3", "column 4")
+
+
+@pytest.mark.parametrize(
+    "clock", ["10:59:{:06.3f}", "2024-03-07T10:59:{:06.3f}Z", "07.03.2024 10:59:{:06.3f}"]
+)
+def test_rows_with_clock_times_above_a_repeated_header_are_rows(clock: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    body = [f"{clock.format(t)};{x};{y}" for t, x, y in zip(T_S, X, Y, strict=True)]
+    path.write_text("\n".join(["t;x;y", ";deg;", *body[:30], "t;x;y", *body[30:]]))
+    table = read_table(path)
+    assert_same_columns(table)
+    assert table.columns["x"].unit == "deg"
+
+
+def test_units_that_are_few_or_unknown_are_no_names(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    body = [f"{t},{x},{y},{x},7,8,9" for t, x, y in zip(T_S, X, Y, strict=True)]
+    path.write_text("\n".join(["t,x,y,z,mode,k,n", "s,gon,gon,gon,,,", *body]))
+    table = read_table(path)
+    assert_same_columns(table, "x [gon]", "y [gon]")
+    assert table.columns["t"].unit == "s"
 
 
 def test_rows_above_a_repeated_header_are_rows(tmp_path: Path) -> None:
@@ -119,6 +155,19 @@ def test_one_value_per_row_with_the_name_of_its_signal(tmp_path: Path) -> None:
         for name, v in zip("xyz", row, strict=True)
     ]
     path.write_text("\n".join(["time,signal,value", *body]))
+    table = read_table(path)
+    assert_same_columns(table)
+    assert table.columns["x"].t_s == pytest.approx(T_S)
+
+
+def test_one_value_per_row_as_a_database_exports_it(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    body = [
+        f"heli,2024-03-07T09:59:{31.0 + t:.3f}Z,{name},{v}"
+        for t, *row in zip(T_S, X, Y, Y, strict=True)
+        for name, v in zip("xyz", row, strict=True)
+    ]
+    path.write_text("\n".join(["name,time,field,value", *body]))
     table = read_table(path)
     assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)
@@ -224,6 +273,10 @@ def test_utf16_as_spreadsheets_save_it(tmp_path: Path) -> None:
         ("pitch [deg]", ("pitch", "deg")),
         ("pitch (rad)", ("pitch", "rad")),
         ("travel / deg", ("travel", "deg")),
+        ("travel/deg", ("travel", "deg")),
+        ("Motor F/mV", ("Motor F", "mV")),
+        ("pitch deg/s", ("pitch deg/s", "")),
+        ("/heli/v", ("/heli/v", "")),
         ("elevation_counts", ("elevation", "count")),
         ("t_ms", ("t", "ms")),
         ("t_s", ("t", "s")),
@@ -258,6 +311,15 @@ def test_simulinks_structure_with_time(tmp_path: Path) -> None:
     table = read_table(tmp_path / "a.mat")
     assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)
+
+
+def test_a_structure_within_a_structure_that_has_the_times(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(tmp_path / "a.mat", {"run": {"t": T_S, "meas": {"x": X, "y": Y}, "params": {"Kp": 1.2}}})
+    table = read_table(tmp_path / "a.mat")
+    assert_same_columns(table, "run.meas.x", "run.meas.y")
+    assert table.columns["run.meas.x"].t_s == pytest.approx(T_S)
 
 
 @pytest.mark.medium

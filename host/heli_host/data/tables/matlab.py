@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -138,9 +139,12 @@ def _signals_of_structure(name: str, fields: Mapping[str, Any], depth: int) -> I
                 return
     for key, field_value in fields.items():
         if key not in _TIMES:
-            for _, signal, _count in _columns_of_array(_unwrapped(field_value)):
-                if signal.size == t_s.size:
-                    yield f"{name}.{key}", Column(signal, "", signal_t_s)
+            # The times of a structure are those of the structures within it, too.
+            for full_name, column in _signals_in(f"{name}.{key}", field_value, depth + 1):
+                if column.t_s is not None:
+                    yield full_name, column
+                elif column.values.size == t_s.size:
+                    yield full_name, replace(column, t_s=signal_t_s)
 
 
 def _signals_with_times(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:

@@ -84,7 +84,7 @@ class Profile:
     voltages: Mapping[str, Voltage]
     """Columns `front` and `back`, or `sum` and `difference` (front minus back)."""
     time: str = ""  # Column of the times; empty if there is none
-    time_unit: str = "s"  # `s`, `ms`, `us`, `ns` or `min`
+    time_unit: str = "s"  # `s`, `ms`, `us`, `ns`, `min` or `day`
     rate_Hz: float = 0.0  # Rows per second, if there is no column of times
     act: str = "after"
     """`after`: the voltages of a row act from that row on, as commands of a controller. `before`: they acted

@@ -376,7 +376,8 @@ def _numbers_in_message(name: str, value: Any, depth: int) -> Iterator[tuple[str
 
 
 KINDS = (
-    ".csv .txt .tsv .dat .lvm (.gz), .mat, .parquet, .mcap, .bag, .db3, .xlsx, or the folder of a ROS 2 bag"
+    ".csv .txt .tsv .dat .lvm .jsonl (.gz), .mat, .parquet, .mcap, .bag, .db3, .xlsx, "
+    "or the folder of a ROS 2 bag"
 )
 """Kinds of files that can be read, for messages."""
 
@@ -394,7 +395,7 @@ def read_table(path: Path) -> Table:
         return read_parquet(path)
     if name.endswith(".xlsx"):
         return read_excel(path)
-    if name.endswith((".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".lvm")):
+    if name.endswith((".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".lvm", ".jsonl")):
         from heli_host.data.tables.text import read_text
 
         return read_text(path)

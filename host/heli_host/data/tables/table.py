@@ -168,7 +168,7 @@ ANGLE_UNITS: Final = {
     "turn": 2.0 * math.pi,
 }
 """Radians in one of each; a count depends on the encoder."""
-TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
+TIME_UNITS: Final = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86400.0}
 """Seconds in one of each."""
 VOLTAGE_UNITS: Final = {"V": 1.0, "mV": 1e-3}
 """Volts in one of each; shares of the supply are in `SHARES`."""
@@ -183,12 +183,26 @@ _SPELLINGS: Final = {
     "cdeg": ("cdeg", "centideg", "centidegrees", "0.01deg", "0.01 deg"),
     "mdeg": ("mdeg", "millideg", "millidegrees"),
     "turn": ("turn", "turns", "rev", "revs", "revolution", "revolutions"),
-    "count": ("count", "counts", "cnt", "cnts", "ticks", "tick", "pulses", "steps", "enc", "lsb"),
+    "count": (
+        "count",
+        "counts",
+        "cnt",
+        "cnts",
+        "ticks",
+        "tick",
+        "pulses",
+        "steps",
+        "enc",
+        "lsb",
+        "cts",
+        "inc",
+    ),
     "s": ("s", "sec", "secs", "second", "seconds"),
     "ms": ("ms", "msec", "millis", "milliseconds"),
     "us": ("us", "µs", "μs", "usec", "micros", "microseconds"),
     "ns": ("ns", "nsec", "nanoseconds"),
     "min": ("min", "minutes"),
+    "day": ("day", "days", "datenum"),
     "V": ("v", "volt", "volts"),
     "mV": ("mv", "millivolt", "millivolts"),
     "duty": ("duty", "1", "-", "p.u.", "pu"),
@@ -207,6 +221,10 @@ _SPELLINGS: Final = {
 _UNIT_OF: Final = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 _BRACKETS: Final = re.compile(r"^(.*?)[\s_]*[\[(<{]\s*([^\])>}]*)\s*[\])>}]\s*$")
 _SLASH: Final = re.compile(r"^(.*\S)\s+(?:/|in)\s*(\S+)\s*$")
+_TIGHT_SLASH: Final = re.compile(
+    r"^([^/]*[^/\s])/(rad|mrad|deg|°|Deg|rev|turns?|counts?|V|mV|%|A|ms|us|µs|ns)$"
+)
+"""As in `pitch/deg`, which engineers write. Other short units may be the last part of a path or of a rate."""
 _TAIL: Final = re.compile(r"^(.*[^_\s])[_\s]([^_\s]+)$")
 _BARE_TAILS: Final = frozenset(
     {
@@ -224,9 +242,11 @@ _BARE_TAILS: Final = frozenset(
             "cnt",
             "ticks",
         ),
-        *("sec", "°", "%", "ms", "us", "ns", "volt", "volts", "mv", "duty", "pct", "percent", "pwm"),
+        *("sec", "°", "%", "ms", "us", "ns", "volt", "volts", "mv", "duty", "pct", "percent", "pwm", "p.u."),
     }
 )
+_LONGEST_UNIT: Final = 8
+"""Longest text in brackets that may be a unit; longer ones are remarks."""
 _BEFORE_S: Final = frozenset({"t", "time", "timestamp", "stamp", "clock", "elapsed"})
 
 
@@ -237,7 +257,7 @@ def unit_of(text: str) -> str:
 
 def split_unit(name: str) -> tuple[str, str]:
     """Split the unit off a column's `name`: `pitch [deg]`, `pitch (deg)`, `pitch / deg`, `pitch_deg`."""
-    for pattern in (_BRACKETS, _SLASH):
+    for pattern in (_BRACKETS, _SLASH, _TIGHT_SLASH):
         match = pattern.match(name)
         # In y[1] and u(1) the number is an index. After a space it is the unit 1, of a share.
         is_index = match is not None and match.group(2) == "1" and name[len(match.group(1))] in "[({<"
@@ -251,6 +271,14 @@ def split_unit(name: str) -> tuple[str, str]:
     if match and (is_one_letter_unit or match.group(2).lower() in _BARE_TAILS):
         return match.group(1), unit_of(match.group(2))
     return name, ""
+
+
+def unknown_unit(name: str) -> str:
+    """Return the text in brackets at the end of a column's `name`, if it may be a unit but is not known."""
+    match = _BRACKETS.match(name)
+    text = match.group(2).strip() if match else ""
+    is_index = text.isdigit() or len(text) > _LONGEST_UNIT or " " in text
+    return "" if not text or is_index or unit_of(text) else text
 
 
 _CLOCK: Final = r"^\s*(?:\d{1,3}:)?\d{1,2}:\d{1,2}(?:[.,:]\d+)?\s*$"

@@ -53,7 +53,7 @@ _THOUSANDS: Final = {
 _COMMA_NUMBER: Final = r"^[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?$"
 _LABELLED: Final = r"^([^\d+\-.]*)([-+]?\d[\d,.']*(?:[eE][-+]?\d+)?)([^\d]*)$"
 _NAMED_VALUE: Final = re.compile(
-    r"(?P<name>[^\W\d][\w°./()\[\] -]*?)\s*[:=]\s*"
+    r"\"?(?P<name>[^\W\d][\w°./()\[\] -]*?)\"?\s*[:=]\s*"
     r"(?P<value>[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d+)?|nan)"
     r"(?:\s?(?P<unit>[A-Za-z°%µ/]{1,8})(?=\s*(?:[,;|\t]|$)))?"
 )
@@ -64,11 +64,20 @@ _MIN_NAMED_SHARE: Final = 0.5
 _MIN_SIGNAL_ROWS: Final = 10
 _MAX_SIGNALS: Final = 64
 """Fewest values of a signal, and most signals, in a table with one value per row."""
-_RECEIVED: Final = re.compile(r"^\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)$")
-"""Line of a serial monitor, with the time at which it was received."""
-_STAMP: Final = re.compile(r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?|(?<=\[)\d+\.\d+(?=\])")
-"""Time in front of the values with names, as a clock or in brackets."""
+_RECEIVED: Final = re.compile(
+    r"^\s*(?:(?P<arrow>\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->|\[(?P<bracket>\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\])"
+    r"\s*(?P<rest>.*)$"
+)
+"""Line of a serial monitor, with the time at which it was received, before an arrow or in brackets."""
+_CHECKSUM: Final = re.compile(r"\*[0-9A-Fa-f]{2}\s*$")
+"""End of a sentence as GPS receivers send it, such as `$HELI,1.2,3.4*5A`."""
+_STAMP: Final = re.compile(
+    r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?|(?<=\[)\d+(?:\.\d+)?(?=\])|^\s*\d+(?:\.\d+)?(?=\s*[;,|\t])"
+)
+"""Time in front of the values with names, as a clock, in brackets, or as the first cell."""
 _CLOCK_COMMA: Final = re.compile(r"(?<=:\d{2}:\d{2}),(?=\d{3})")
+_TIME_CELL: Final = re.compile(r"^\s*\d+[-/.:]\d+[-/.:][-\d/.:,TZ+ ]*(?:[AaPp][Mm])?\s*$")
+"""Time or date in a cell, which a row above a header may have."""
 _STAMP_NAME: Final = "timestamp"
 _UNIT_BEHIND: Final = re.compile(r"(.*\d\.?)\s*([A-Za-z°%µ/]{1,8})$")
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
@@ -94,7 +103,7 @@ def read_text(path: Path) -> Table:
     body = [line for line in lines if line.strip() and not line.strip().startswith(_COMMENTS)]
     if not body:
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
-    body = _without_names_in_rows(body)
+    body = _without_names_in_rows(_without_checksums(body))
     body, stamps = _without_reception_times(body)
     # At the beginning the rig is at rest, and whole numbers do not show the decimal mark. Therefore lines of
     # the whole file are examined.
@@ -158,10 +167,19 @@ def read_text(path: Path) -> Table:
         raise FlightDataError(
             f"{path}: the file has no columns of numbers", "give a table with one row per sample"
         )
-    labels = [frame[index] for index, name in enumerate(names) if name in unread]
+    labels = [
+        frame[index] for index, name in enumerate(names) if name in unread and frame[index].nunique() > 1
+    ]
     if len(labels) == 1 and len(columns) == 2:
         columns = _signals_by_name(labels[0], columns) or columns
     return Table(str(path), columns, notes, bool(header), tuple(changes), unread)
+
+
+def _without_checksums(lines: list[str]) -> list[str]:
+    """Return lines without the checksum at their end, if most have one."""
+    if np.mean([bool(_CHECKSUM.search(line)) for line in lines]) < _LABEL_SHARE:
+        return lines
+    return [_CHECKSUM.sub("", line) for line in lines]
 
 
 def _without_reception_times(lines: list[str]) -> tuple[list[str], list[str]]:
@@ -170,8 +188,8 @@ def _without_reception_times(lines: list[str]) -> tuple[list[str], list[str]]:
     if sum(match is not None for match in sampled) < _LABEL_SHARE * len(sampled):
         return lines, []
     matches = [_RECEIVED.match(line) for line in lines]
-    rests = [match.group(2) if match else line for line, match in zip(lines, matches, strict=True)]
-    return rests, [match.group(1) if match else "" for match in matches]
+    rests = [match["rest"] if match else line for line, match in zip(lines, matches, strict=True)]
+    return rests, [(match["arrow"] or match["bracket"]) if match else "" for match in matches]
 
 
 def _without_names_in_rows(lines: list[str]) -> list[str]:
@@ -191,8 +209,12 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
     stamps = [_STAMP.search(prefix) for prefix in prefixes]
     has_stamps = sum(stamp is not None for stamp in stamps) > _LABEL_SHARE * len(lines)
     header = [name + unit for name, unit in zip(names, units, strict=True)]
-    rows = ["\t".join([*header, _STAMP_NAME] if has_stamps else header)]
-    for line, row, line_names, stamp in zip(lines, matches, names_of_lines, stamps, strict=True):
+    # What a board prints at its start is above the header.
+    start = names_of_lines.index(names)
+    rows = [*lines[:start], "\t".join([*header, _STAMP_NAME] if has_stamps else header)]
+    for line, row, line_names, stamp in list(zip(lines, matches, names_of_lines, stamps, strict=True))[
+        start:
+    ]:
         cells = [match["value"].replace(",", ".") for match in row]
         if has_stamps:
             cells.append(stamp.group().replace(",", ".") if stamp else "")
@@ -222,7 +244,12 @@ def _whole_rows(
         count == width and not line.rstrip().endswith(dialect.separator)
         for line, count in zip(header, header_counts, strict=True)
     )
-    if dialect.separator not in " \t" and ends[counts == width].all() and not has_last_name:
+    has_names_only = width - 1 in header_counts
+    if (
+        (dialect.separator not in " \t" or has_names_only)
+        and ends[counts == width].all()
+        and not has_last_name
+    ):
         counts, width = counts - ends, width - 1
     # Two rates in one table: the rows of one of them may lack their blank cells at the end.
     sizes, number = np.unique(counts, return_counts=True)
@@ -416,7 +443,7 @@ def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> 
     """
     width = statistics.mode(len(_split_cells(line, dialect)) for line in sampled_lines)
     cells = [_split_cells(line, dialect) for line in lines]
-    numbers = [sum(_is_number(cell, dialect) for cell in row) for row in cells]
+    numbers = [sum(_is_value(cell, dialect) for cell in row) for row in cells]
     name_rows = [
         index
         for index, row in enumerate(cells)
@@ -430,10 +457,15 @@ def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> 
 
 
 def _is_row(line: str, dialect: Dialect, sampled_lines: list[str]) -> bool:
-    """Whether a line above a header is as wide as most lines, and contains only numbers."""
+    """Whether a line above a header is as wide as most lines, and contains only numbers, times and dates."""
     cells = _split_cells(line, dialect)
     width = statistics.mode(len(_split_cells(each, dialect)) for each in sampled_lines)
-    return len(cells) == width and all(_is_number(cell, dialect) for cell in cells)
+    return len(cells) == width and all(_is_value(cell, dialect) for cell in cells)
+
+
+def _is_value(cell: str, dialect: Dialect) -> bool:
+    """Whether a cell is a number, a time or a date, as cells of rows are and names are not."""
+    return _is_number(cell, dialect) or bool(_TIME_CELL.match(cell))
 
 
 def _is_number(cell: str, dialect: Dialect) -> bool:
@@ -456,15 +488,26 @@ def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[l
     Units come from a separate row, if the header has one.
     """
     rows = [_split_cells(line, dialect) for line in header]
+    # A row of units may end with a blank one.
+    rows = [row + [""] * (len(row) == width - 1 > 1) for row in rows]
+    # A header that is repeated below the first rows would hide the units.
+    rows = [list(row) for row in dict.fromkeys(map(tuple, rows))]
     # The header of LabVIEW has one more name, for a column of comments that the rows lack.
     rows = [row[:width] for row in rows if len(row) in {width, width + 1}]
     units = [""] * width
-    if len(rows) > 1 and sum(bool(_unit_in_cell(cell)) for cell in rows[-1]) >= max(1, width // 2):
+    unknown_units = [""] * width
+    if len(rows) > 1 and _are_units(rows[-1], rows[-2]):
         units = [_unit_in_cell(cell) for cell in rows[-1]]
+        unknown_units = [cell.strip(' "[]()') for cell in rows[-1]]
         rows = rows[:-1]
     column_names = (
         [cell.strip(' "') for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
     )
+    # A unit that is not known stays with the name, so that it can be asked about.
+    column_names = [
+        f"{name} [{text}]" if text and not unit else name
+        for name, text, unit in zip(column_names, unknown_units, units, strict=True)
+    ]
     names: list[str] = []
     for index, name in enumerate(column_names):
         unique_name = name or f"column {index + 1}"
@@ -472,6 +515,16 @@ def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[l
             unique_name += "'"
         names.append(unique_name)
     return names, units
+
+
+def _are_units(cells: list[str], names: list[str]) -> bool:
+    """Whether the cells of a header's last row are units: many are, or, unlike `names`, they repeat."""
+    texts = [cell.strip(' "[]()') for cell in cells if cell.strip(' "')]
+    known = sum(bool(unit_of(text)) for text in texts)
+    if known >= max(1, len(cells) // 2):
+        return True
+    name_texts = [name for name in names if name.strip(' "')]
+    return known > 0 and len(set(texts)) < len(texts) and len(name_texts) > len(texts) // 2
 
 
 def _with_row_name(path: Path, header: list[str], rows: list[str], dialect: Dialect, width: int) -> list[str]:
