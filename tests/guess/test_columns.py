@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from heli_host.errors import FlightDataError
 from heli_lab.setup.guess import Guess
 from heli_lab.setup.guess.columns import ColumnOptions, column_options, prepare_file
 from heli_lab.setup.guess.motion import reference_of
-from heli_lab.setup.guess.names import is_time, meaning_of
+from heli_lab.setup.guess.names import AXES, is_time, meaning_of
 from heli_lab.setup.guess.propose import propose
 from heli_lab.setup.guess.result import NOTHING_KNOWN, read_known
 from heli_sim.rig import load_rig
@@ -109,6 +110,45 @@ def test_a_pitch_far_from_level_in_flight_has_a_doubtful_zero() -> None:
     raised = replace(table.columns["pitch"], values=table.columns["pitch"].values + math.radians(40.0))
     tilted = replace(table, columns={**table.columns, "pitch": raised})
     assert "pitch's zero" in subjects(proposed(tilted))
+
+
+@pytest.mark.medium
+def test_a_zero_of_pitch_that_travel_and_the_voltages_contradict_is_doubted() -> None:
+    # The pilot's rig is steady at -5.7 deg, because of its torque.
+    table = flight_table()
+    for error_deg, is_doubted in ((8.0, True), (-8.0, True), (1.0, False)):
+        shifted = table.columns["pitch"].values + math.radians(error_deg)
+        other = replace(table, columns={**table.columns, "pitch": Column(shifted)})
+        assert ("pitch's zero" in subjects(proposed(other))) == is_doubted, error_deg
+
+
+def scaled(table: Table, names: Mapping[str, str], factors: Mapping[str, float]) -> Table:
+    """Multiply columns by factors, and rename them."""
+    columns = {
+        names.get(name, name): Column(factors.get(name, 1.0) * column.values)
+        for name, column in table.columns.items()
+    }
+    return replace(table, columns=columns)
+
+
+@pytest.mark.medium
+def test_a_unit_that_is_unknown_or_that_the_motion_contradicts_is_doubted() -> None:
+    table = flight_table()
+    gon = dict.fromkeys(AXES, 200.0 / math.pi)
+    doubts = subjects(proposed(scaled(table, {axis: f"{axis} [gon]" for axis in AXES}, gon)))
+    assert {f"{axis}'s unit" for axis in AXES} <= doubts
+    quarter = dict.fromkeys(AXES, 0.2)
+    stated = {axis: f"{axis} [rad]" for axis in AXES}
+    assert "the scale of elevation" in subjects(proposed(scaled(table, stated, quarter)))
+    assert "the scale of elevation" not in subjects(proposed(scaled(table, stated, {})))
+
+
+@pytest.mark.medium
+def test_a_unit_in_which_the_arm_turns_over_is_not_proposed() -> None:
+    degrees = dict.fromkeys(AXES, 180.0 / math.pi)
+    guess = proposed(scaled(flight_table(), {axis: f"{axis} [rad]" for axis in AXES}, degrees))
+    assert {angle.unit for angle in guess.profile.angles.values()} == {"deg"}
+    assert "pitch's unit" in subjects(guess)
 
 
 @pytest.mark.medium

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import pytest
-from heli_lab.setup.guess.names import direction_columns, meaning_of, meanings_of
+from heli_lab.setup.guess.names import (
+    direction_columns,
+    is_time,
+    meaning_of,
+    meanings_of,
+    unknown_unit_of,
+)
 
 
 @pytest.mark.parametrize(
@@ -37,6 +43,36 @@ from heli_lab.setup.guess.names import direction_columns, meaning_of, meanings_o
 def test_a_name_states_a_role_or_another_quantity(name: str, role: str, quantity: str) -> None:
     meaning = meaning_of(name)
     assert (meaning.role, meaning.quantity) == (role, quantity)
+
+
+def test_a_word_that_all_angles_share_states_none_of_them() -> None:
+    roles = {"theta_e": "elevation", "theta_p": "pitch", "theta_t": "travel"}
+    meanings = meanings_of(dict.fromkeys((*roles, "theta_e_ref", "t"), ""))
+    assert {name: meanings[name].role for name in roles} == roles
+    assert not is_time("theta_t")
+    assert is_time("t_rel")
+    assert meanings["theta_e_ref"].quantity == "a setpoint"
+
+
+def test_a_state_before_the_role_is_part_of_a_message_and_behind_it_a_mode() -> None:
+    meanings = meanings_of(dict.fromkeys(("/heli/state/pitch", "pitch_state", "/heli/cmd/voltage_front"), ""))
+    assert [meaning.role for meaning in meanings.values()] == ["pitch", "pitch", "front"]
+    assert [meaning.quantity for meaning in meanings.values()] == ["", "another quantity", ""]
+
+
+@pytest.mark.parametrize(
+    ("name", "unknown"),
+    [
+        ("pitch [gon]", "gon"),
+        ("Zeit (10ms)", "10ms"),
+        ("pitch [deg]", ""),
+        ("y[1]", ""),
+        ("pitch (measured)", ""),
+        ("Elevation (Arith Mean)", ""),
+    ],
+)
+def test_a_unit_that_is_not_known_is_noticed(name: str, unknown: str) -> None:
+    assert unknown_unit_of(name) == unknown
 
 
 def test_a_duty_is_left_out_if_the_voltage_of_its_motor_is_logged() -> None:

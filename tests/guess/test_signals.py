@@ -69,6 +69,8 @@ def table(name: str, step: float, unit: str = "") -> Table:
         ("column 1", 1.0, "", "ms", False),
         ("t_s", 10000.0, "", "us", False),
         ("x2", 5.0, "ms", "ms", True),
+        ("t", 1.0 / 864000.0, "", "day", True),
+        ("Zeit [10ms]", 2.5, "", "ms", False),
     ],
 )
 def test_a_clock(name: str, step: float, unit: str, expected_unit: str, sure: bool) -> None:

@@ -398,14 +398,14 @@ class Flight(AngleViews):
         )
 
 
-_MAX_ANGLE_RAD = {"elevation_rad": 1.6, "pitch_rad": 3.2}
+MAX_ANGLE_RAD: Final = {"elevation_rad": 1.6, "pitch_rad": 3.2}
 """Largest possible angles: the arm cannot pass the vertical, and the short arm cannot turn over."""
 _MAX_COUNT_RAD = 0.02
 """Largest plausible step of an encoder: 314 counts per turn. In degrees, even 16384 counts step by 0.022."""
 _MIN_MOVES = 20
 _MAX_RATE_RAD_S = 20.0
 """Over a tenth of a second, in one row of a hundred; the board's own limits are below 10."""
-_MAX_VOLTAGE_V = 100.0
+MAX_VOLTAGE_V = 100.0
 _MIN_ROWS_JOINED = 100
 """Rows before and after a fall of time from which it counts as the begin of another flight. Fewer: a single
 bad time is taken for one. More: short flights that were joined are not recognised."""
@@ -483,7 +483,7 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
     probably not in volts. `where` names a row of the file.
     """
     degrees = "looks like degrees", "multiply the angles by pi/180"
-    for name, max_angle_rad in _MAX_ANGLE_RAD.items():
+    for name, max_angle_rad in MAX_ANGLE_RAD.items():
         column = getattr(flight, name)
         row = int(np.argmax(np.abs(column)))
         if abs(column[row]) > max_angle_rad:
@@ -508,7 +508,7 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
     for name in ("front_V", "back_V"):
         column = getattr(flight, name)
         row = int(np.argmax(np.abs(column)))
-        if abs(column[row]) > _MAX_VOLTAGE_V:
+        if abs(column[row]) > MAX_VOLTAGE_V:
             raise FlightDataError(
                 f"{source}: {name} is {column[row]:.4g} in {where(row)}, which looks like millivolts or a "
                 "duty",

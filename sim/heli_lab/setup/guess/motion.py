@@ -88,6 +88,8 @@ class Reference:
     reverses: bool = False  # Whether a rotor gives thrust at reversed voltage
     travel_rad_s2: tuple[float, float] = (0.0, 0.0)
     """Constant acceleration of travel at level pitch, and its standard deviation; 0 if the rig has none."""
+    level_pitch_deg: tuple[float, float] = (0.0, 0.0)
+    """Pitch at which travel is steady, and its standard deviation by the tolerance of the torque."""
 
 
 def reference_of(rig: Rig) -> Reference:
@@ -106,7 +108,9 @@ def reference_of(rig: Rig) -> Reference:
     linear = derivatives(model, rig, hover.state, hover.volts_V)
     torque, friction = rig["torque_travel"], rig["friction_travel"].value
     # Acceleration per torque, 1 / inertia: A[5, 5] is minus friction over inertia.
-    per_torque = float(-linear.A[5, 5]) / friction if friction > 0.0 and torque.value else 0.0
+    inverse_inertia = float(-linear.A[5, 5]) / friction if friction > 0.0 else 0.0
+    per_torque = inverse_inertia if torque.value else 0.0
+    torque_deg = math.degrees(inverse_inertia / float(linear.A[5, 1]))
     # An error of the pitch zero also accelerates travel. Its whole tolerance is one standard deviation here,
     # because programs set the zero wherever the short arm hangs; otherwise the tolerance is two.
     zero_error_rad_s2 = float(linear.A[5, 1]) * np.radians(rig["offset_pitch"].tolerance)
@@ -128,6 +132,7 @@ def reference_of(rig: Rig) -> Reference:
         supply_V=rig["supply"].value,
         reverses=rig["reverse_thrust"].value != 0.0,
         travel_rad_s2=(per_torque * torque.value, std_rad_s2) if per_torque else (0.0, 0.0),
+        level_pitch_deg=(-torque_deg * torque.value, abs(torque_deg) * 0.5 * torque.tolerance),
     )
 
 
@@ -374,6 +379,69 @@ def pooled_fits(fits_by_file: Sequence[Mapping[str, RegressionFit]]) -> dict[str
         no_rotor_lag_nats = sum(fit.no_rotor_lag_nats for fit in fits)
         pooled[axis] = RegressionFit(abs(float(nats)), gain, lag_s, lag_range_s, no_rotor_lag_nats)
     return pooled
+
+
+def travel_equation(
+    signals: Signals, assignment: Assignment, rad: Mapping[str, float]
+) -> tuple[Floats, Floats]:
+    """Regress the acceleration of travel on a constant, its rate, and the horizontal part of the thrust.
+
+    Returns the three coefficients in the unit of travel, shape (3,), and their covariance, shape (3, 3).
+    """
+    travel, pitch = (signals.filtered[assignment.columns[axis]] for axis in ("travel", "pitch"))
+    rows = free_rows(signals, assignment.columns["elevation"])
+    total = filtered_signal(sum_and_difference(signals, assignment)[0]).value
+    mean = float(total[rows].mean()) if rows.any() else 0.0
+    has_bias = mean > 0.5 * float(total.std())
+    relative_thrust = np.clip(total / mean, 0.0, 2.0) if has_bias else np.ones(total.size)
+    return _least_squares(
+        travel.acceleration, (travel.rate, np.sin(rad["pitch"] * pitch.value) * relative_thrust), rows
+    )
+
+
+def steady_pitch_deg(
+    signals: Signals, assignment: Assignment, rad: Mapping[str, float], lag_s: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Estimate the pitch at which travel does not accelerate, and the pitch that equal voltages hold, which
+    drive pitch after a lag; each with its standard deviation [deg], and with the sign of the column.
+
+    A wrong zero moves both alike. A torque about travel moves only the first one, and unequal rotors only the
+    second one. The second one is uncertain if the body has no pendulum.
+    """
+    pitch = signals.filtered[assignment.columns["pitch"]]
+    difference = filtered_signal(sum_and_difference(signals, assignment)[1]).value
+    rows = free_rows(signals, assignment.columns["elevation"])
+    by_voltages = _least_squares(
+        pitch.acceleration, (delay(difference, lag_s), pitch.rate, np.sin(rad["pitch"] * pitch.value)), rows
+    )
+    by_travel = travel_equation(signals, assignment, rad)
+    return _balance_deg(*by_travel), _balance_deg(*by_voltages)
+
+
+def _least_squares(response: Floats, causes: Sequence[Floats], rows: Booleans) -> tuple[Floats, Floats]:
+    """Regress a response on a constant and on causes; return the coefficients and their covariance.
+
+    Shapes: `response` (n,), `causes` (n,), `rows` (n,).
+    """
+    regressors = np.column_stack((np.ones(response.size), *causes))[rows]
+    solution, *_ = np.linalg.lstsq(regressors, response[rows], rcond=None)
+    variance = float(np.mean((response[rows] - regressors @ solution) ** 2)) if rows.any() else 0.0
+    # Filtered rows depend on each other.
+    per_row = variance / (SAMPLE_STEP_s * _INDEPENDENT_SAMPLES_Hz)
+    return np.asarray(solution, np.float64), per_row * np.linalg.pinv(regressors.T @ regressors)
+
+
+def _balance_deg(solution: Floats, covariance: Floats) -> tuple[float, float]:
+    """Return the angle whose sine balances the constant, by the last coefficient, with its standard deviation
+    [deg]; without such a coefficient, the deviation is infinite.
+    """
+    constant, gain = float(solution[0]), float(solution[-1])
+    if not gain:
+        return 0.0, math.inf
+    gradient = np.zeros(solution.size)
+    gradient[0], gradient[-1] = -1.0 / gain, constant / gain**2
+    std = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
+    return math.degrees(math.asin(float(np.clip(-constant / gain, -1.0, 1.0)))), math.degrees(std)
 
 
 def abs_correlation(first: Floats, second: Floats) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
+from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit, unknown_unit
 
 AXES: Final = ("elevation", "pitch", "travel")
 PAIR: Final = ("front", "back")
@@ -105,6 +105,8 @@ _OTHER_QUANTITIES: Final = {
     ),
 }
 """Words of quantities that are neither a measured angle nor a motor's voltage."""
+_GROUP: Final = "state"
+"""Word before the role in the name of a measured value; after it, as in ``pitch_state``, it means a mode."""
 _COUNTERS: Final = frozenset(
     {
         *("seq", "sequence", "idx", "index", "counter", "loop", "iteration", "iter", "sample", "samples"),
@@ -195,7 +197,34 @@ def meanings_of(units: Mapping[str, str]) -> dict[str, ColumnMeaning]:
     if len(units) > 1 and len({_INDEX.sub("", name) for name in units}) == 1:
         return {name: ColumnMeaning(possible_roles=ROLES) for name in units}
     meanings = {name: meaning_of(name, unit) for name, unit in units.items()}
-    return _without_duties_of_voltages(_with_rolls(meanings), units)
+    return _without_duties_of_voltages(_with_rolls(_without_shared_words(meanings)), units)
+
+
+def _without_shared_words(meanings: Mapping[str, ColumnMeaning]) -> dict[str, ColumnMeaning]:
+    """Return the meanings of a table whose angles share one word, as in `theta_e`, `theta_p` and `theta_t`.
+
+    This word only means an angle, although alone it would mean one axis. The others distinguish the axes; if
+    one of them is unknown, its axis is the third one.
+    """
+    result = dict(meanings)
+    for axis in AXES:
+        columns = [
+            name for name, meaning in meanings.items() if meaning.role == axis and not meaning.quantity
+        ]
+        words = {name: words_of(name) for name in columns}
+        shared = set.intersection(*map(set, words.values())) if len(columns) > 1 else set()
+        roles = {name: _stated_role([word for word in words[name] if word not in shared]) for name in columns}
+        stated = {role for role in roles.values() if role in AXES}
+        others = [other for other in AXES if other not in stated]
+        if len(stated) < 2 or len(stated) < sum(role in AXES for role in roles.values()):
+            continue
+        unknown = [name for name, role in roles.items() if role not in AXES]
+        if len(unknown) == len(others) == 1:
+            roles[unknown[0]] = others[0]
+        for name, role in roles.items():
+            possible = (role,) if role else AXES
+            result[name] = replace(meanings[name], role=role, possible_roles=possible)
+    return result
 
 
 def _with_rolls(meanings: Mapping[str, ColumnMeaning]) -> dict[str, ColumnMeaning]:
@@ -320,6 +349,9 @@ def _stated_quantity(words: list[str], role: str) -> str:
         stating = {word for word in words if word in known and (role or word not in _LETTERS)}
         if role in VOLTAGE_ROLES:
             stating -= _COMMANDS | _ANGLE_LETTERS
+        if role and _GROUP in stating and any(word in _WORDS[role] for word in words[words.index(_GROUP) :]):
+            # As in ``/heli/state/pitch``: the part of a message.
+            stating.remove(_GROUP)
         if stating:
             return quantity
     names_no_role = {word for word in words if not word.isdigit()}
@@ -340,11 +372,19 @@ def direction_columns(units: Mapping[str, str]) -> dict[str, str]:
     }
 
 
+def unknown_unit_of(name: str) -> str:
+    """Return the unit that a `name` states in brackets, if it is unknown; a known word there is a remark."""
+    text = unknown_unit(name)
+    known = itertools.chain(*_WORDS.values(), *_OTHER_QUANTITIES.values(), _MEASURED, _VOLTAGES, _HALVES)
+    return "" if {text.lower(), *words_of(text)}.intersection(known) else text
+
+
 def is_half(name: str) -> bool:
     """Whether a `name` means half of the sum, or half of the difference, of two voltages."""
     return bool(_HALVES.intersection(words_of(name)))
 
 
 def is_time(name: str) -> bool:
-    """Whether a `name` means the time."""
-    return bool(_TIMES.intersection(words_of(name)))
+    """Whether a `name` means the time. A letter after another word, as in ``theta_t``, is an index."""
+    words = words_of(name)
+    return bool(_TIMES.intersection(words) - {"t"}) or words[:1] == ["t"]

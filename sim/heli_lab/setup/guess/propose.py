@@ -33,6 +33,7 @@ from heli_lab.setup.guess.motion import (
     lag_ambiguities,
     pooled_fits,
     reference_of,
+    steady_pitch_deg,
     sum_and_difference,
 )
 from heli_lab.setup.guess.names import AXES, PAIR, SUMS, meaning_of
@@ -58,6 +59,7 @@ from heli_lab.setup.guess.units import (
     rest_elevation,
     scales,
     supply_limits,
+    unknown_unit_ambiguities,
     with_logged_supply,
 )
 
@@ -69,6 +71,12 @@ _UNCERTAIN_TIME_S: Final = 0.02
 """Error of times above which they are in doubt [s]. Rotors lag by 0.05 s and more."""
 _MAX_TRIM_DEG: Final = 15.0
 """Median pitch of a flight above which its zero is in doubt [deg]. Constant torques of rigs need up to 8."""
+_PITCH_TOLERANCE_DEG: Final = 3.0
+"""Error of the pitch zero from which on it is in doubt [deg]. Simulated flights of half a minute show the
+zero within 0.5 deg; rig files state it within 3 deg."""
+_KNOWN_BALANCE_DEG: Final = 1.5
+"""Standard deviation of the pitch that equal voltages hold, up to which this pitch shows the zero [deg].
+Bodies with a pendulum give 0.1 to 0.6, bodies without give 3 and more."""
 _MAX_CANDIDATES: Final = 12
 """Largest number of assignments whose units are compared."""
 _AMBIGUOUS_ERROR_RATIO: Final = 1.15
@@ -220,7 +228,7 @@ def propose(
         scale, unit_ambiguities = choose_scale(motion, reference, rig)
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
-    ambiguities += doubtful_columns + unit_ambiguities
+    ambiguities += doubtful_columns + unit_ambiguities + unknown_unit_ambiguities(assignment, scale)
     check_third_angle(source, regressions, assignment, options)
     ambiguities += check_voltages(source, regressions, assignment, options, files)
     # Signs: the axes have to accelerate in the direction of their causes.
@@ -234,7 +242,8 @@ def propose(
     # Zero of the elevation, from the rest on the table, and delays between columns.
     offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
     timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
-    ambiguities += zero_ambiguities + flights.pitch_trim(signs) + timing_ambiguities
+    ambiguities += zero_ambiguities + timing_ambiguities
+    ambiguities += flights.pitch_zero(signs, regressions["pitch"].lag_s)
     profile = known.applied(
         Profile(
             _angle_entries(assignment, scale, signs, reference, offset_deg),
@@ -381,7 +390,38 @@ class _FlightsInUnits:
         ]
         return next((rest for rest in rests if rest.deg is not None and rest.begins_lowest), rests[0])
 
-    def pitch_trim(self, signs: SignChanges) -> list[Ambiguity]:
+    def pitch_zero(self, signs: SignChanges, lag_s: float) -> list[Ambiguity]:
+        """Report a pitch whose zero the motion contradicts; pitch follows the voltages after a lag, `lag_s`.
+
+        Travel is steady at level pitch, except for the constant torque that the rig file states.
+        """
+        rad = self.scale.rad(self.reference)
+        estimates = [steady_pitch_deg(file.signals, self.assignment, rad, lag_s) for file in self.files]
+        (level_deg, level_std_deg), (held_deg, held_std_deg) = np.mean(estimates, axis=0)
+        level_deg, held_deg = float(signs.pitch * level_deg), float(signs.pitch * held_deg)
+        expected_deg, torque_std_deg = self.reference.level_pitch_deg
+        # Cables pull in either direction, and so does a mirror image.
+        errors_deg = (level_deg - expected_deg, level_deg + expected_deg)
+        tolerance_deg = math.hypot(_PITCH_TOLERANCE_DEG, torque_std_deg)
+        error_deg = min(errors_deg, key=abs)
+        if held_std_deg < _KNOWN_BALANCE_DEG:
+            # The voltages show the zero, too: if they contradict travel, the torque differs, not the zero.
+            tolerance_deg = _PITCH_TOLERANCE_DEG
+            error_deg = min(errors_deg, key=lambda error_deg: abs(error_deg - held_deg))
+            error_deg = min(error_deg, held_deg, key=abs) if error_deg * held_deg > 0.0 else 0.0
+        if not abs(error_deg) > tolerance_deg + 2.0 * level_std_deg:
+            return self._pitch_trim(signs)
+        return [
+            Ambiguity(
+                "pitch's zero",
+                f"0 as it is, with travel steady at {level_deg:.0f} deg of pitch",
+                f"{-error_deg:.0f} deg to add",
+                f"the rig file's torque makes it steady at {abs(expected_deg):.0f} deg at most, so it or the "
+                "zero differs; measure the pitch with a level body",
+            )
+        ]
+
+    def _pitch_trim(self, signs: SignChanges) -> list[Ambiguity]:
         """Report if the pitch in flight is farther from 0 than a trim against a constant torque can be."""
         deg_per_unit = math.degrees(signs.pitch * self.scale.rad(self.reference)["pitch"])
         column = self.assignment.columns["pitch"]

@@ -76,7 +76,7 @@ class Clock:
     """Time column of a table."""
 
     column: str  # Name of the column; empty if the table has no times
-    unit: str  # Unit: `s`, `ms`, `us`, `ns` or `min`; empty if no unit fits
+    unit: str  # Unit: `s`, `ms`, `us`, `ns`, `min` or `day`; empty if no unit fits
     sure: bool  # Whether column and unit are unambiguous
     alternative: str = ""  # Other meaning of the column, or the reason why there is no column or no unit
 
@@ -179,6 +179,11 @@ def _interpret_as_times(name: str, header_unit: str, step: float, first: float) 
     if not possible_units:
         rates = f"a log has {1.0 / longest_s:.0f} to {1.0 / shortest_s:.0f} rows per second"
         return Clock(name, "", False, f"'{name}' has steps of {step:g}, but {rates}")
+    unknown = names.unknown_unit_of(name)
+    if unknown:
+        return Clock(
+            name, possible_units[0], False, f"in {unknown}, as its name says, which is no known unit"
+        )
     # A log has steps of 0.2 to 150 ms. At most two units fit, and the larger one is meant.
     return Clock(name, possible_units[0], not may_count_rows, "it may count rows" if may_count_rows else "")
 

@@ -25,11 +25,11 @@ from heli_lab.setup.guess.motion import (
     RegressionFit,
     axis_regressions,
     reference_of,
-    sum_and_difference,
+    travel_equation,
 )
 from heli_lab.setup.guess.names import AXES
 from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity, KnownEntries, SignChoice
-from heli_lab.setup.guess.signals import Signals, column_signals, filtered_signal
+from heli_lab.setup.guess.signals import Signals, column_signals
 from heli_lab.setup.guess.units import REST_TOLERANCE_DEG, RestElevation, rest_elevation
 
 _PIECE_S: Final = 2.0
@@ -135,15 +135,7 @@ def travel_torque_nats(
     expected_rad_s2, std_rad_s2 = reference.travel_rad_s2
     if not expected_rad_s2:
         return 0.0
-    travel, pitch = (signals.filtered[assignment.columns[axis]] for axis in ("travel", "pitch"))
-    total = filtered_signal(sum_and_difference(signals, assignment)[0]).value
-    mean = float(total[signals.inner].mean())
-    has_bias = mean > 0.5 * float(total.std())
-    relative_thrust = np.clip(total / mean, 0.0, 2.0) if has_bias else np.ones(total.size)
-    # Travel is driven by a constant torque, damping, and the horizontal part of the thrust.
-    horizontal_thrust = np.sin(rad["pitch"] * pitch.value) * relative_thrust
-    regressors = np.column_stack((np.ones(total.size), travel.rate, horizontal_thrust))[signals.inner]
-    solution, *_ = np.linalg.lstsq(regressors, travel.acceleration[signals.inner], rcond=None)
+    solution, _ = travel_equation(signals, assignment, rad)
     measured_rad_s2 = sign * rad["travel"] * float(solution[0])
     # Log-likelihood ratio of two normal distributions, about plus and minus the expected acceleration.
     ratio = math.exp(np.clip(2.0 * measured_rad_s2 * expected_rad_s2 / std_rad_s2**2, -50.0, 50.0))

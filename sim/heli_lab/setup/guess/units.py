@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Floats
+from heli_host.data.flight import MAX_ANGLE_RAD, MAX_VOLTAGE_V
 from heli_host.data.tables import Profile, Table, flights_of
 from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit
 from heli_sim.rig import Rig
@@ -26,14 +27,24 @@ from heli_lab.setup.guess.motion import (
     pooled_fits,
     sum_and_difference,
 )
-from heli_lab.setup.guess.names import A_SUPPLY, AXES, is_half, meanings_of
+from heli_lab.setup.guess.names import A_SUPPLY, AXES, is_half, meanings_of, unknown_unit_of
 from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity
 from heli_lab.setup.guess.signals import SAMPLE_STEP_s, Signals, quantisation_step
 
 _ANGLE_UNITS: Final = ("rad", "deg", COUNT, "turn", "mrad", "cdeg", "mdeg")
+_WHOLE_UNITS: Final = frozenset({"mrad", "cdeg", "mdeg"})
+"""Units in which programs log whole numbers that are no counts."""
 _VOLTAGE_UNITS: Final = ("V", "mV", "duty", "percent", "pwm")
 _FULL_SCALES: Final = (255.0, 1023.0, 4095.0)
-_RARE_UNIT_NATS: Final = {"turn": 3.0, "mrad": 3.0, "mV": 1.0, "percent": 1.0, "duty": 1.0}
+_RARE_UNIT_NATS: Final = {
+    "turn": 3.0,
+    "mrad": 3.0,
+    "cdeg": 3.0,
+    "mdeg": 3.0,
+    "mV": 1.0,
+    "percent": 1.0,
+    "duty": 1.0,
+}
 """Penalty of a rare unit that the file does not state [nats]."""
 _MIXED_UNITS_NATS: Final = 3.0
 """Penalty of an angle whose unit differs from elevation's, unless it is stated [nats]."""
@@ -47,6 +58,8 @@ _PLAUSIBLE_PEAK_SHARES: Final = (0.16, 1.2)
 """Plausible peak voltages over the rig file's supply; the upper limit allows another supply."""
 _MAX_SHARE: Final = 1.02
 """Upper limit for units that are shares of the supply: a share above 1 is impossible."""
+_IMPOSSIBLE_NATS: Final = 1000.0
+"""Penalty of a unit in which an arm turns over, or a motor gets a voltage that no flight may have [nats]."""
 _SATURATION_NATS: Final = 3.0
 """Penalty of a unit that is not stated and in which some commands exceed the supply [nats]. Set by judgement:
 such logs are rarer than those of limited voltages."""
@@ -77,6 +90,9 @@ on the table. Rest and level differ by some 25 deg, so values up to 20 distingui
 _LOWEST_deg: Final = 3.0
 """Largest elevation above the lowest of a flight [deg] that still counts as the lowest. Flights are some
 25 deg above their rest, so values up to 20 distinguish them."""
+_CENTRED_NATS: Final = 0.5
+"""Evidence from which on shares of the supply may have their 0 V in the middle [nats]. Healthy logs have less
+than -1, and centred ones of simulated flights 0.7 and more."""
 _MAX_DUTY: Final = 2.2
 """Largest sum of two duty cycles; the rest is noise."""
 _MIN_CLIMB: Final = 0.5
@@ -154,6 +170,7 @@ class MeasuredMotion:
     difference: Floats
     quantisation_step: Mapping[str, float]  # Smallest step of each angle; 0 if the angle is not quantised
     integer_valued: Mapping[str, bool]  # Whether each angle has whole numbers only
+    angle_range: Mapping[str, float]  # Difference between the largest and the smallest value of each angle
     stated_units: Mapping[str, str]
     """Units that names or the file state, by axis and for `voltage`; empty if none is stated."""
     summed: bool  # Whether the voltages are sum and difference instead of front and back
@@ -201,6 +218,10 @@ def measured_motion(
         integer_valued={
             axis: bool(np.all(np.mod(values[axis][np.isfinite(values[axis])], 1.0) == 0.0)) for axis in AXES
         },
+        angle_range={
+            axis: float(np.ptp(np.quantile(first.signals.raw[column], (0.01, 0.99))))
+            for axis, column in columns.items()
+        },
         stated_units={**stated, "voltage": voltage[0] or voltage[1]},
         summed=assignment.summed,
         halved=any(is_half(column) for column in assignment.voltages),
@@ -225,6 +246,7 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
             deviation_std = _gain_deviations(scale, motion, reference)
             nats = voltage_nats - 0.5 * sum(deviation**2 for deviation in deviation_std.values())
             nats += sum(_angle_unit_nats(scale, axis, motion, reference) for axis in AXES)
+            nats -= _IMPOSSIBLE_NATS * _turns_over(scale, motion, reference)
             ranked.append(
                 replace(scale, log_likelihood=nats, deviation_std={"hover": hover_std, **deviation_std})
             )
@@ -241,6 +263,8 @@ def _voltage_unit_nats(choice: Scale, motion: MeasuredMotion, reference: Referen
         nats -= _MISSING_BIAS_NATS
     if motion.summed and motion.halved != (choice.factor != 1.0):
         nats -= _HALVED_SUM_NATS
+    if float(np.max(motion.supply_shares(choice, reference))) * reference.supply_V > MAX_VOLTAGE_V:
+        return nats - _IMPOSSIBLE_NATS
     min_share, max_share = _PLAUSIBLE_PEAK_SHARES
     if choice.voltage not in VOLTAGE_UNITS:
         max_share = _MAX_SHARE
@@ -251,6 +275,15 @@ def _voltage_unit_nats(choice: Scale, motion: MeasuredMotion, reference: Referen
     if peak_share >= max_share and motion.exceeds(choice, reference):
         return nats - (0.0 if stated else _SATURATION_NATS)
     return nats - _IMPLAUSIBLE_PEAK_NATS
+
+
+def _turns_over(scale: Scale, motion: MeasuredMotion, reference: Reference) -> bool:
+    """Whether elevation or pitch moves farther in the units of a scale than an arm can."""
+    rad = scale.rad(reference)
+    return any(
+        rad[name.removesuffix("_rad")] * motion.angle_range[name.removesuffix("_rad")] > 2.0 * limit_rad
+        for name, limit_rad in MAX_ANGLE_RAD.items()
+    )
 
 
 def _gain_deviations(scale: Scale, motion: MeasuredMotion, reference: Reference) -> dict[str, float]:
@@ -280,6 +313,8 @@ def _angle_unit_nats(scale: Scale, axis: str, motion: MeasuredMotion, reference:
     if not motion.stated_units[axis]:
         nats -= _RARE_UNIT_NATS.get(unit, 0.0)
         nats -= _MIXED_UNITS_NATS if unit != scale.angles["elevation"] else 0.0
+    if motion.integer_valued[axis] and unit in _WHOLE_UNITS and motion.stated_units[axis]:
+        return nats
     if motion.integer_valued[axis] or unit == COUNT:
         is_count = motion.integer_valued[axis] and unit == COUNT
         return nats if is_count else nats - _QUANTISATION_NATS
@@ -294,6 +329,9 @@ def choose_scale(motion: MeasuredMotion, reference: Reference, rig: Rig) -> tupl
     """Choose the units: those that the file states, and otherwise those with gains most like the rig's."""
     ranked = scales(motion, reference)
     as_stated = [scale for scale in ranked if scale.agrees(motion.stated_units)] or ranked
+    if ranked[0].log_likelihood - as_stated[0].log_likelihood > _IMPOSSIBLE_NATS / 2.0:
+        # With the unit of the header, no flight could be written.
+        as_stated = ranked
     best = as_stated[0]
     return best, [
         *_contradicted_headers(best, ranked[0], motion),
@@ -305,19 +343,38 @@ def choose_scale(motion: MeasuredMotion, reference: Reference, rig: Rig) -> tupl
 
 def _contradicted_headers(best: Scale, by_motion: Scale, motion: MeasuredMotion) -> list[Ambiguity]:
     """Report each stated unit of which the motion fits another one decisively better."""
-    if by_motion.log_likelihood - best.log_likelihood < DECISIVE_NATS:
+    is_followed = best.agrees(motion.stated_units)
+    if is_followed and by_motion.log_likelihood - best.log_likelihood < DECISIVE_NATS:
         return []
     subjects = {axis: f"{axis}'s unit" for axis in AXES} | {"voltage": "the voltages' unit"}
     units = {**by_motion.angles, "voltage": by_motion.voltage}
     return [
         Ambiguity(
             subject,
-            f"{motion.stated_units[name]}, as the header says",
-            units[name],
-            "the motion fits another unit than the header",
+            f"{motion.stated_units[name]}, as the header says" if is_followed else units[name],
+            units[name] if is_followed else f"{motion.stated_units[name]}, as the header says",
+            "the motion fits another unit than the header"
+            if is_followed
+            else "no arm moves as far as the header's unit says, and no motor gets such a voltage",
         )
         for name, subject in subjects.items()
         if motion.stated_units[name] not in ("", units[name])
+    ]
+
+
+def unknown_unit_ambiguities(assignment: Assignment, scale: Scale) -> list[Ambiguity]:
+    """Report each column whose name states a unit that is not known; units by the motion alone are rough."""
+    voltages = [("the voltages' unit", column, scale.voltage) for column in assignment.voltages]
+    angles = [(f"{axis}'s unit", assignment.columns[axis], scale.angles[axis]) for axis in AXES]
+    return [
+        Ambiguity(
+            subject,
+            unit,
+            f"{unknown}, as the header says",
+            f"'{unknown}' is no known unit, and the motion shows a unit only roughly; state it in a profile",
+        )
+        for subject, column, unit in (*angles, *voltages[:1])
+        if (unknown := unknown_unit_of(column))
     ]
 
 
@@ -352,6 +409,12 @@ def _equally_likely_units(
 
 def _implausible_scales(best: Scale, rig: Rig) -> list[Ambiguity]:
     """Report each quantity that differs much from the rig file even in the chosen unit."""
+    deviations = dict(best.deviation_std or {})
+    # Angles of which all are a fourth, as counts of another decoder are, contradict both gains a little.
+    weights = {axis: 1.0 / _GAIN_STD[axis] for axis in ("elevation", "pitch")}
+    joint = sum(weights[axis] * deviations.get(axis, 0.0) for axis in weights) / math.hypot(*weights.values())
+    if max(map(abs, deviations.values()), default=0.0) <= _MAX_DEVIATION_STD < abs(joint):
+        deviations["elevation"] = joint
     return [
         Ambiguity(
             f"the scale of {quantity}",
@@ -360,7 +423,7 @@ def _implausible_scales(best: Scale, rig: Rig) -> list[Ambiguity]:
             f"even the best unit is {abs(deviation_std):.1f} standard deviations from rig "
             f"{rig.name}; give your rig with --rig",
         )
-        for quantity, deviation_std in (best.deviation_std or {}).items()
+        for quantity, deviation_std in deviations.items()
         if abs(deviation_std) > _MAX_DEVIATION_STD
     ]
 
@@ -379,6 +442,16 @@ def _supply_ambiguities(
                 "the sum was logged without its bias; look up the bias and set offset_V",
             )
         )
+    if _centred_nats(best, motion, reference) > _CENTRED_NATS:
+        ambiguities.append(
+            Ambiguity(
+                "the voltages' unit",
+                f"{best.voltage}{best.full_scale_text} from 0 V on",
+                f"{best.voltage}{best.full_scale_text} with 0 V in its middle",
+                "the voltages are never negative, and the motion fits a driver for both directions better; "
+                "look up the value at rest",
+            )
+        )
     if best.voltage in SHARES and not motion.stated_units["voltage"] and not reference.supply_column:
         in_volts = max((each.log_likelihood for each in possible if each.voltage == "V"), default=-math.inf)
         or_volts = ", or V" if best.log_likelihood - in_volts < 2.0 * DECISIVE_NATS else ""
@@ -391,6 +464,22 @@ def _supply_ambiguities(
             )
         )
     return ambiguities
+
+
+def _centred_nats(best: Scale, motion: MeasuredMotion, reference: Reference) -> float:
+    """Log-likelihood of shares of the supply whose middle is 0 V, as drivers for both directions have,
+    against shares whose 0 is 0 V [nats].
+    """
+    is_negative = bool((motion.total < np.abs(motion.difference)).any())
+    deviations = best.deviation_std
+    if best.voltage not in SHARES or motion.summed or is_negative or deviations is None:
+        return 0.0
+    full_scale = best.full_scale if best.voltage == "pwm" else SHARES[best.voltage]
+    # Half of the range is full supply, so that gains per volt are half of those of the other meaning.
+    mean_V = 2.0 * best.volts(reference) * (abs(motion.mean_sum) - full_scale)
+    centred = {axis: deviations[axis] - math.log(2.0) / _GAIN_STD[axis] for axis in ("elevation", "pitch")}
+    centred["hover"] = _deviation_std(mean_V, reference.hover_V, _HOVER_STD) if mean_V > 0.0 else math.inf
+    return 0.5 * sum(deviations[name] ** 2 - deviation**2 for name, deviation in centred.items())
 
 
 _SUPPLY_SHARES: Final = (0.7, 1.4)
