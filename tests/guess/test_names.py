@@ -47,6 +47,7 @@ def test_a_name_states_a_role_or_another_quantity(name: str, role: str, quantity
 
 def test_a_word_that_all_angles_share_states_none_of_them() -> None:
     roles = {"theta_e": "elevation", "theta_p": "pitch", "theta_t": "travel"}
+    roles |= {"theta_p_raw": "pitch", "theta_t_raw": "travel"}
     meanings = meanings_of(dict.fromkeys((*roles, "theta_e_ref", "t"), ""))
     assert {name: meanings[name].role for name in roles} == roles
     assert not is_time("theta_t")

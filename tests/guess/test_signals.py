@@ -66,6 +66,7 @@ def table(name: str, step: float, unit: str = "") -> Table:
         ("whatever", 0.005, "", "s", True),
         ("time", 1.0, "", "ms", False),
         ("index", 1.0, "", "", False),
+        ("index", 0.005, "", "s", True),
         ("column 1", 1.0, "", "ms", False),
         ("t_s", 10000.0, "", "us", False),
         ("x2", 5.0, "ms", "ms", True),
@@ -77,6 +78,11 @@ def test_a_clock(name: str, step: float, unit: str, expected_unit: str, sure: bo
     clock = clock_of(table(name, step, unit))
     assert (clock.column, clock.unit, clock.sure) == (name, expected_unit, sure)
     assert sure or clock.alternative
+
+
+def test_a_unit_of_times_names_a_time_whose_word_is_not_known() -> None:
+    coarse = Table("a.csv", {"tijd [s]": Column(np.floor(np.arange(200.0) / 2.5) / 10.0)})
+    assert clock_of(coarse).column == "tijd [s]"
 
 
 def test_no_clock() -> None:

@@ -275,6 +275,7 @@ def test_utf16_as_spreadsheets_save_it(tmp_path: Path) -> None:
         ("travel / deg", ("travel", "deg")),
         ("travel/deg", ("travel", "deg")),
         ("Motor F/mV", ("Motor F", "mV")),
+        ("tijd_in_s", ("tijd", "s")),
         ("pitch deg/s", ("pitch deg/s", "")),
         ("/heli/v", ("/heli/v", "")),
         ("elevation_counts", ("elevation", "count")),
@@ -346,6 +347,15 @@ def test_matlab_7_3(tmp_path: Path) -> None:
 
 
 @pytest.mark.medium
+def test_an_index_without_a_name_is_a_column(tmp_path: Path) -> None:
+    import pandas
+
+    pandas.DataFrame({"x": X, "y": Y}, index=T_S).to_parquet(tmp_path / "a.parquet")
+    table = read_table(tmp_path / "a.parquet")
+    assert_same_columns(table)
+    assert table.columns["index"].values == pytest.approx(T_S)
+
+
 @pytest.mark.parametrize("suffix", ["parquet", "xlsx"])
 def test_parquet_and_excel(suffix: str, tmp_path: Path) -> None:
     import pandas

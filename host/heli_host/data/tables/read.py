@@ -191,7 +191,7 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
 
     columns: dict[str, Column] = {}
     unread: dict[str, str] = {}
-    if frame.index.name is not None or isinstance(frame.index, pandas.DatetimeIndex | pandas.TimedeltaIndex):
+    if frame.index.name is not None or not isinstance(frame.index, pandas.RangeIndex):
         frame = frame.reset_index()
     for name in frame.columns:
         series, unit = frame[name], ""

@@ -220,7 +220,7 @@ _SPELLINGS: Final = {
 }
 _UNIT_OF: Final = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
 _BRACKETS: Final = re.compile(r"^(.*?)[\s_]*[\[(<{]\s*([^\])>}]*)\s*[\])>}]\s*$")
-_SLASH: Final = re.compile(r"^(.*\S)\s+(?:/|in)\s*(\S+)\s*$")
+_SLASH: Final = re.compile(r"^(.*\S)(?:\s+(?:/|in)\s*|_in_)(\S+)\s*$")
 _TIGHT_SLASH: Final = re.compile(
     r"^([^/]*[^/\s])/(rad|mrad|deg|°|Deg|rev|turns?|counts?|V|mV|%|A|ms|us|µs|ns)$"
 )

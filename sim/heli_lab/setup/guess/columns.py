@@ -192,6 +192,14 @@ class ColumnOptions:
         if len(named_axes) == 2 and not all(self.by_role[axis] for axis in AXES):
             return two_angles_only(source, {axis: self.by_role[axis][0] for axis in named_axes})
         columns = ", ".join(self.columns()) or "none"
+        missing = [axis for axis in AXES if not self.by_role[axis]]
+        missing += ["a motor voltage"] * (not any(self.by_role[role] for role in VOLTAGE_ROLES))
+        if len(self.columns()) >= len(AXES) + 2 and missing:
+            return FlightDataError(
+                f"{source}: no column can be {' or '.join(missing)}; possible for the others: "
+                f"{columns}{detail}",
+                _FIX,
+            )
         return FlightDataError(
             f"{source}: fewer than five columns can be an angle or a voltage: {columns}{detail}; a rig with "
             "three axes has three angles and two voltages",

@@ -203,8 +203,8 @@ def meanings_of(units: Mapping[str, str]) -> dict[str, ColumnMeaning]:
 def _without_shared_words(meanings: Mapping[str, ColumnMeaning]) -> dict[str, ColumnMeaning]:
     """Return the meanings of a table whose angles share one word, as in `theta_e`, `theta_p` and `theta_t`.
 
-    This word only means an angle, although alone it would mean one axis. The others distinguish the axes; if
-    one of them is unknown, its axis is the third one.
+    This word only means an angle, although alone it would mean one axis. The others distinguish the axes; a
+    word that is unknown means the third one.
     """
     result = dict(meanings)
     for axis in AXES:
@@ -216,11 +216,11 @@ def _without_shared_words(meanings: Mapping[str, ColumnMeaning]) -> dict[str, Co
         roles = {name: _stated_role([word for word in words[name] if word not in shared]) for name in columns}
         stated = {role for role in roles.values() if role in AXES}
         others = [other for other in AXES if other not in stated]
-        if len(stated) < 2 or len(stated) < sum(role in AXES for role in roles.values()):
+        if len(stated) < 2:
             continue
-        unknown = [name for name, role in roles.items() if role not in AXES]
-        if len(unknown) == len(others) == 1:
-            roles[unknown[0]] = others[0]
+        unknown = [set(words[name]) - shared for name, role in roles.items() if role not in AXES]
+        if len(others) == 1 and unknown and set.intersection(*unknown):
+            roles = {name: role if role in AXES else others[0] for name, role in roles.items()}
         for name, role in roles.items():
             possible = (role,) if role else AXES
             result[name] = replace(meanings[name], role=role, possible_roles=possible)

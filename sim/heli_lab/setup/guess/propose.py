@@ -216,7 +216,7 @@ def propose(
     options = column_options(files, known)
     ranked = ranked_assignments(files, options, reference)
     if not ranked:
-        raise options.too_few(source)
+        raise _uncertain_time(source, clock) or options.too_few(source)
     ranked, motion = _ranked_by_units_too(files, ranked, reference)
     assignment = ranked[0]
     doubtful_columns, columns_sentence = column_ambiguities(ranked, options, files, reference)
@@ -229,8 +229,11 @@ def propose(
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
     ambiguities += doubtful_columns + unit_ambiguities + unknown_unit_ambiguities(assignment, scale)
-    check_third_angle(source, regressions, assignment, options)
-    ambiguities += check_voltages(source, regressions, assignment, options, files)
+    try:
+        check_third_angle(source, regressions, assignment, options)
+        ambiguities += check_voltages(source, regressions, assignment, options, files)
+    except FlightDataError as error:
+        raise (_uncertain_time(source, clock) or error) from error
     # Signs: the axes have to accelerate in the direction of their causes.
     signs = fewest_sign_changes(regressions, flights.feedback(), known)
     torque_nats = flights.torque_nats(signs)
@@ -269,6 +272,17 @@ def propose(
     unknown = tuple(ambiguity for ambiguity in ambiguities if not known.states(ambiguity))
     proposed = Guess(profile, unknown, tuple(evidence), log_likelihood=assignment.log_likelihood)
     return proposed, longest_parts
+
+
+def _uncertain_time(source: str, clock: Clock) -> FlightDataError | None:
+    """Describe a table that moves like no rig, if its time may be the reason; None if the time is certain."""
+    if clock.sure:
+        return None
+    return FlightDataError(
+        f"{source}: the time is uncertain ('{clock.column}' in {clock.unit}, or {clock.alternative}), and "
+        "with it no columns move like a rig's",
+        NO_RATE,
+    )
 
 
 def _named_angles(table: Table) -> list[str]:

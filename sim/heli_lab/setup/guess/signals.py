@@ -90,12 +90,15 @@ def clock_of(table: Table) -> Clock:
     """
     scored_clocks: list[tuple[float, Clock]] = []
     reasons: list[str] = []
+    states_time = any(names.is_time(name) for name in table.columns)
     for name, column in table.columns.items():
         values = column.values[np.isfinite(column.values)]
         if values.size < _MIN_TIMES:
             continue
         steps = np.diff(values)
-        is_named = names.is_time(name)
+        # A unit of times names the time, too, in a language whose word is not known.
+        has_time_unit = (column.unit or split_unit(name)[1]) in TIME_UNITS
+        is_named = names.is_time(name) or (has_time_unit and not states_time)
         rising_share, falling_share = float(np.mean(steps > 0.0)), float(np.mean(steps < 0.0))
         step = _mean_step(values)
         if not (_is_clock(values, is_named) and step > 0.0):
@@ -169,7 +172,12 @@ def _interpret_as_times(name: str, header_unit: str, step: float, first: float) 
         return Clock(
             name, possible_units[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}"
         )
-    if not names.is_time(name) and names.meaning_of(name, header_unit).quantity == names.A_COUNTER:
+    is_whole = step >= 1.0 and step == round(step)
+    if (
+        is_whole
+        and not names.is_time(name)
+        and names.meaning_of(name, header_unit).quantity == names.A_COUNTER
+    ):
         return Clock(name, "", False, f"'{name}' counts the rows")
     may_count_rows = abs(step - 1.0) < 1e-6
     if may_count_rows and not names.is_time(name) and first in (0.0, 1.0):
