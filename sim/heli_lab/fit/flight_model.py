@@ -155,6 +155,12 @@ def grey_box(model: Model) -> GreyBoxModel:
 
 def model_functions(model: Model, free: Sequence[str]) -> ModelFunctions:
     """Compile a helicopter's `model` with its derivatives by the parameters `free`."""
+    return _plain_functions(model, tuple(free)) if model.is_plain else ModelFunctions(grey_box(model), free)
+
+
+@functools.lru_cache(maxsize=32)
+def _plain_functions(model: Model, free: tuple[str, ...]) -> ModelFunctions:
+    """Compile the functions of a model without effects, and keep them for the next flight."""
     return ModelFunctions(grey_box(model), free)
 
 

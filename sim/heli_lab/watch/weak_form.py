@@ -10,7 +10,6 @@ import copy
 import math
 import re
 from dataclasses import dataclass
-from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -23,7 +22,6 @@ from heli_sim.model.effect import AXES
 from heli_sim.rig import Rig
 
 from heli_lab.fit.flight_model import TORQUE_STD_Nm, model_functions
-from heli_lab.fit.model_functions import ModelFunctions
 from heli_lab.fit.problem import FLIGHT_CONSTANTS, free_parameters
 
 GRID_s: Final = 0.02
@@ -252,7 +250,7 @@ class FlightInWeakForm:
         self.names: tuple[str, ...] = tuple(priors)
         """Names of the last unknowns: rig parameters, parameters of effects and torques."""
         self._places = [static.parameter_names.index(name) for name in priors]
-        self._functions = _compile_functions(static, self.names)
+        self._functions = model_functions(static, self.names)
         scale_count = SCALES_AND_FACTOR
         self.mean: Floats = np.array(
             [0.0] * scale_count + [_LAG_s, 0.0, 0.0] + [p.mean for p in priors.values()]
@@ -394,14 +392,3 @@ def _zero_stds_rad(rig: Rig) -> Floats:
         rig["offset_pitch"].tolerance,
     ]
     return np.maximum(np.radians(0.5 * np.array(tolerances_deg)), 1e-6)
-
-
-def _compile_functions(model: Model, free: tuple[str, ...]) -> ModelFunctions:
-    """Compile the functions of a model, with derivatives by the parameters `free`."""
-    return _functions_without_effects(type(model), free) if model.is_plain else model_functions(model, free)
-
-
-@cache
-def _functions_without_effects(kind: type[Model], free: tuple[str, ...]) -> ModelFunctions:
-    """Compile the functions of a model without effects, and keep them for the next flight."""
-    return model_functions(kind(), free)
