@@ -173,7 +173,7 @@ def hidden_lag(folder: Path) -> tuple[str, float, float]:
 
     from tests.bench.board import RIG
     from tests.web.pages import board_module
-    from tests.web.recording import run_script
+    from tests.web.recording import run_piece
 
     plans = [load_plan(name) for name in ("sine", "step")]
     facts = page_facts(plans, {plan.name: tomllib.loads(plan.text) for plan in plans}, [load_rig(RIG)])
@@ -182,7 +182,7 @@ def hidden_lag(folder: Path) -> tuple[str, float, float]:
         logs.append(folder / f"{plan.name}.mcap")
         settings = {"effect": "rotor_lag", "values": {"rotor_lag.s": LAG_S}, "seed": seed}
         given = {"board": str(board_module()), "facts": facts, "settings": settings, "plans": [plan.name]}
-        run_script(node, "fly.mjs", given | {"log": str(logs[-1])})
+        run_piece(node, "fly", given | {"log": str(logs[-1])})
     written = folder / "diagnosis.json"
     words = ["diagnose", str(logs[0]), "--validate", str(logs[1]), "--rig", RIG, "--json", str(written)]
     program = [sys.executable, "-c", "from heli_host.ui.cli import main; main()"]

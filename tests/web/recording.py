@@ -25,11 +25,11 @@ def encoded(data: bytes) -> str:
     return base64.b64encode(data).decode()
 
 
-def run_script(node: str, script: str, given: Any) -> Any:
-    """Run a JavaScript program of this folder with JSON as its input, and return its output."""
-    path = Path(__file__).with_name(script)
+def run_piece(node: str, name: str, given: Any) -> Any:
+    """Run a function of `pieces.mjs`, and return its result."""
+    path = Path(__file__).with_name("pieces.mjs")
     result = subprocess.run(
-        [node, str(path)], input=json.dumps(given), capture_output=True, text=True, check=False
+        [node, str(path), name], input=json.dumps(given), capture_output=True, text=True, check=False
     )
     assert not result.returncode, result.stderr
     return json.loads(result.stdout)
@@ -115,9 +115,7 @@ def setup_of(world: SilWorld) -> dict[str, Any]:
 
 def replayed(node: str, board: Path, setup: Mapping[str, Any], calls: Calls) -> dict[str, Any]:
     """Repeat recorded calls in the WebAssembly build; return what its board sent."""
-    answer: dict[str, Any] = run_script(
-        node, "replay.mjs", {"board": str(board), "setup": setup, "calls": calls}
-    )
+    answer: dict[str, Any] = run_piece(node, "replay", {"board": str(board), "setup": setup, "calls": calls})
     answer["sent"] = base64.b64decode(answer["sent"])
     return answer
 

@@ -26,7 +26,7 @@ from heli_web.facts import law_facts, page_facts
 from numpy.typing import NDArray
 
 from tests.page.page_server import tired
-from tests.web.recording import RecordedEngine, run_script
+from tests.web.recording import RecordedEngine, run_piece
 
 pytestmark = pytest.mark.slow
 LINKS = {"quiet": "", "noise": "&flip=1e-5&seed=4", "interruption": "&unplug=8:1.5&stall=14:0.4"}
@@ -56,7 +56,7 @@ def test_small_host_sends_the_frames_of_heli_host(node: str, tmp_path: Path, lin
     session.stop_now()
     heli.wait(0.5)
     heli.close()
-    answer = run_script(node, "engine.mjs", recorded.calls)
+    answer = run_piece(node, "engine", recorded.calls)
     assert answer["sent"] == recorded.sent
     counters = session.counters
     for name in (
@@ -79,7 +79,7 @@ def flown(
 ) -> dict[str, Any]:
     """Fly the plan step with the small host into a log."""
     given = {"board": str(board), "facts": facts, "settings": settings, "plans": ["step"], "log": str(log)}
-    answer: dict[str, Any] = run_script(node, "fly.mjs", given | {"law": law})
+    answer: dict[str, Any] = run_piece(node, "fly", given | {"law": law})
     return answer
 
 
@@ -166,7 +166,7 @@ def test_small_host_compares_angles_at_rest_like_heli_host(node: str) -> None:
     assert None in expected
     assert "" in expected
     assert len(set(expected)) > 10
-    assert run_script(node, "rest.mjs", given) == expected
+    assert run_piece(node, "rest", given) == expected
 
 
 def test_a_seed_draws_the_numbers_of_numpy(node: str) -> None:
@@ -175,4 +175,4 @@ def test_a_seed_draws_the_numbers_of_numpy(node: str) -> None:
         [*np.random.default_rng(seed).uniform(-5e4, 5e4, 3), np.random.default_rng(seed).integers(2**31 - 2)]
         for seed in seeds
     ]
-    assert run_script(node, "random.mjs", seeds) == drawn
+    assert run_piece(node, "random", seeds) == drawn

@@ -18,7 +18,7 @@ from heli_sim.sil.options import parse_url
 from heli_sim.sil.world import SilWorld
 from heli_web.plant import plant_module
 
-from tests.web.recording import RecordedWorld, encoded, replayed, run_script, setup_of
+from tests.web.recording import RecordedWorld, encoded, replayed, run_piece, setup_of
 
 STEPS = 40
 
@@ -87,7 +87,7 @@ def test_each_effect_of_the_catalogue_steps_as_in_casadi(board: Path, node: str)
             }
         )
         expected.append(np.array(steps))
-    answers = run_script(node, "plants.mjs", {"board": str(board), "cases": cases})
+    answers = run_piece(node, "plants", {"board": str(board), "cases": cases})
     assert len(answers) == len(expected) > 40
     for answer, wanted in zip(answers, expected, strict=True):
         np.testing.assert_allclose(np.array(answer), wanted, rtol=1e-9, atol=1e-12)
