@@ -30,7 +30,6 @@ from heli_sim.model.linear import rig_findings
 from heli_sim.rig import Rig, load_rig, write_rig
 from heli_sim.sil.transport import SilProcess
 
-from tests.fly.slip import PITCH, slipping
 from tests.running.long import samples
 from tests.sil.harness import world_of
 
@@ -339,6 +338,32 @@ def test_an_endless_swing_is_judged_by_its_middle() -> None:
         text = BEFORE.shift_after(after(-25.0, lambda t_s, m=middle_deg: m + 2.0 * np.sin(3.0 * t_s)))
         assert text is not None
         assert bool(text) is shifted
+
+
+PITCH = 1
+SLIP_DEG = 0.25
+
+
+def slipping(heli: Heli, axis: int, shift_deg: float) -> Callable[[], None]:
+    """Return a function that shifts a measured angle a little in each call, as a loose coupling does: no step
+    that a board could notice.
+    """
+    world = world_of(heli)
+    steps = [float(np.sign(shift_deg)) * SLIP_DEG] * round(abs(shift_deg) / SLIP_DEG)
+
+    def slip() -> None:
+        if not steps:
+            return
+        step_rad = np.radians(steps.pop())
+        # Without its plug the encoder does not see the arm turn back, and then counts the way there.
+        for is_out, turn_rad in ((True, -step_rad), (False, step_rad)):
+            world.native.encoders_out = [is_out and index == axis for index in range(3)]
+            state = world.state
+            state[axis] += turn_rad
+            world.state = state
+            heli.wait(0.001)
+
+    return slip
 
 
 def test_a_flight_whose_pitch_encoder_slipped_is_not_completed(tmp_path: Path) -> None:

@@ -88,7 +88,7 @@ def most_likely_advance(
     there.
 
     The result is the present one if the most likely advance is smaller than that of any slower log. With
-    `candidates_rows`, the result is the likeliest of these.
+    `candidates_rows`, the result is the most likely of these.
     """
     if information <= 0.0:
         return AdvanceEstimate(present_rows, 0.0)

@@ -18,8 +18,7 @@ from heli_sim.errors import OptionError
 from heli_sim.rig import load_rig
 
 from heli_web.compiler import built_board, is_checkout
-from heli_web.facts import RIGS, combined_facts, page_facts
-from heli_web.puzzle import hidden_facts
+from heli_web.facts import RIGS, combined_facts, hidden_facts, page_facts
 
 _PAGE: Final = Path(__file__).resolve().parent / "page"
 _DASHBOARD: Final = "heli_host.ui.page"

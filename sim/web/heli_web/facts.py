@@ -9,6 +9,7 @@ from typing import Any
 from heli_host.board.law_program import LawProgram
 from heli_host.data.files import LOG_WRITER
 from heli_host.data.log import schema
+from heli_host.data.log.blind import Truth
 from heli_host.declaration import CHANNELS, FAULTS, LINK_VERSION, PARAMS
 from heli_host.fly.plan import Plan
 from heli_host.link.installation import installed_version
@@ -218,3 +219,18 @@ def page_facts(
         "plants": {"": plant_facts(MultibodyModel())},
         "effects": effects,
     }
+
+
+def hidden_facts(effects: tuple[Effect, ...], rig: Rig, truth: Truth) -> dict[str, Any]:
+    """Return the plant of a puzzle, whose hidden parameters have numbers as names, and its seal."""
+    model: Model = model_named(rig.model or "multibody", effects)
+    plant = plant_facts(model)
+    values = dict(zip(model.parameter_names, model.parameter_values(rig), strict=True))
+    hidden = [quantity.name for effect in model.effects for quantity in effect.parameters]
+    plain = {name: f"number {index}" for index, name in enumerate(hidden, 1)}
+    plant["parameters"] = [plain.get(name, name) for name in plant["parameters"]]
+    plant["delay"] = plain.get(plant["delay"], "")
+    parameters = [
+        {"name": plain[name], "symbol": plain[name], "typical": float(values[name])} for name in hidden
+    ]
+    return {"sealed": truth.digest, "effect": "hidden", "hidden": {"plant": plant, "parameters": parameters}}
