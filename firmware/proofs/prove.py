@@ -262,8 +262,9 @@ def table() -> str:
         lines += [f"## {claim.number}. {claim.title[0].upper()}{claim.title[1:]}", "", claim.sentence, ""]
         for title, texts in (("Assumptions", claim.assumptions), ("Not proved", claim.open)):
             lines += [f"{title}:", "", *(f"- {text}" for text in texts), ""]
-        changes = "1 wrong change" if len(claim.mutants) == 1 else f"{len(claim.mutants)} wrong changes"
-        lines += [f"The prover refutes this claim for {changes} of the code.", ""]
+        count = len(claim.mutants)
+        changes = "1 wrong change" if count == 1 else f"each of {count} wrong changes"
+        lines += [f"Check of the prover: it refutes the claim for {changes} of the code.", ""]
     return "\n".join(lines)
 
 
