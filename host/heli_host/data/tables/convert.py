@@ -302,11 +302,14 @@ def _standing(rows: _Rows) -> Booleans:
     lowest_rad, largest_V = angles[:, 0].min(initial=np.inf), np.abs(volts).max(initial=0.0)
     for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2], [0], [1], [2]):
         shortest_s = _STAND_S if len(axes) > 1 else _ONE_STAND_S
-        for start, stop in equal_runs(t_s, angles[:, axes]):
+        runs = np.array(equal_runs(t_s, angles[:, axes]), int).reshape(-1, 2)
+        lengths_s = t_s[runs[:, 1] - 1] - t_s[runs[:, 0]]
+        # Most runs are two rows in the air, so the long ones are chosen first.
+        for start, stop in runs[lengths_s >= shortest_s].tolist():
             length_s = float(t_s[stop - 1] - t_s[start])
             height_deg = float(np.degrees(angles[start, 0] - lowest_rad))
             is_driven = np.abs(volts[start:stop]).max() >= _OFF_SHARE * largest_V
-            if length_s < shortest_s or not is_driven:
+            if not is_driven:
                 continue
             # An arm on its table stands still, too, but leaves it without a large step.
             typical_steps = _STAND_STEPS if height_deg > _OFF_TABLE_DEG else _TABLE_STEPS

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -133,10 +133,7 @@ class Scale:
 
     def rad(self, reference: Reference) -> dict[str, float]:
         """Radians per unit of each angle's column, by axis."""
-        return {
-            axis: 2.0 * math.pi / reference.counts[axis] if unit == COUNT else ANGLE_UNITS[unit]
-            for axis, unit in self.angles.items()
-        }
+        return _rad_per_unit(self.angles, reference)
 
     def agrees(self, stated_units: Mapping[str, str]) -> bool:
         """Whether the units are those that the file states."""
@@ -155,6 +152,14 @@ class Scale:
     def full_scale_text(self) -> str:
         """Words for the value of full supply, if the voltages are in ``pwm``; otherwise empty."""
         return f" of {self.full_scale:g}" if self.voltage == "pwm" else ""
+
+
+def _rad_per_unit(units: Mapping[str, str], reference: Reference) -> dict[str, float]:
+    """Radians of the unit of each axis, by axis."""
+    return {
+        axis: 2.0 * math.pi / reference.counts[axis] if unit == COUNT else ANGLE_UNITS[unit]
+        for axis, unit in units.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -233,24 +238,45 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
     voltage_choices = [(unit, 255.0) for unit in _VOLTAGE_UNITS if unit != "pwm"]
     voltage_choices += [("pwm", full_scale) for full_scale in _FULL_SCALES]
     sums = list(itertools.product((1.0, 2.0), (False, True))) if motion.summed else [(1.0, False)]
+    angle_choices = [
+        _angle_choice(dict(zip(AXES, units, strict=True)), motion, reference)
+        for units in itertools.product(_ANGLE_UNITS, repeat=3)
+    ]
     ranked = []
     for (unit, full_scale), (factor, bias_removed) in itertools.product(voltage_choices, sums):
         choice = Scale(dict.fromkeys(AXES, "rad"), unit, full_scale, factor, bias_removed)
-        mean_V = abs(motion.mean_sum) * choice.volts(reference)
+        volts = choice.volts(reference)
+        mean_V = abs(motion.mean_sum) * volts
         if bias_removed and mean_V > 0.5 * reference.hover_V:
             continue
         hover_std = 0.0 if bias_removed else _deviation_std(mean_V, reference.hover_V, _HOVER_STD)
         voltage_nats = _voltage_unit_nats(choice, motion, reference) - 0.5 * hover_std**2
-        for units in itertools.product(_ANGLE_UNITS, repeat=3):
-            scale = replace(choice, angles=dict(zip(AXES, units, strict=True)))
-            deviation_std = _gain_deviations(scale, motion, reference)
+        for angles in angle_choices:
+            deviation_std = _gain_deviations(angles.rad, volts, motion, reference)
             nats = voltage_nats - 0.5 * sum(deviation**2 for deviation in deviation_std.values())
-            nats += sum(_angle_unit_nats(scale, axis, motion, reference) for axis in AXES)
-            nats -= _IMPOSSIBLE_NATS * _turns_over(scale, motion, reference)
             ranked.append(
-                replace(scale, log_likelihood=nats, deviation_std={"hover": hover_std, **deviation_std})
+                replace(
+                    choice,
+                    angles=angles.units,
+                    log_likelihood=nats + angles.nats,
+                    deviation_std={"hover": hover_std, **deviation_std},
+                )
             )
     return sorted(ranked, key=lambda scale: -scale.log_likelihood)
+
+
+class _AngleChoice(NamedTuple):
+    """A unit for each angle, without regard to the voltages."""
+
+    units: Mapping[str, str]  # By axis
+    rad: Mapping[str, float]  # Radians per unit of each column, by axis
+    nats: float  # Log-likelihood by names, quantisation and range
+
+
+def _angle_choice(units: Mapping[str, str], motion: MeasuredMotion, reference: Reference) -> _AngleChoice:
+    rad = _rad_per_unit(units, reference)
+    nats = sum(_angle_unit_nats(units, rad[axis], axis, motion, reference) for axis in AXES)
+    return _AngleChoice(units, rad, nats - _IMPOSSIBLE_NATS * _turns_over(rad, motion))
 
 
 def _voltage_unit_nats(choice: Scale, motion: MeasuredMotion, reference: Reference) -> float:
@@ -277,20 +303,20 @@ def _voltage_unit_nats(choice: Scale, motion: MeasuredMotion, reference: Referen
     return nats - _IMPLAUSIBLE_PEAK_NATS
 
 
-def _turns_over(scale: Scale, motion: MeasuredMotion, reference: Reference) -> bool:
-    """Whether elevation or pitch moves farther in the units of a scale than an arm can."""
-    rad = scale.rad(reference)
+def _turns_over(rad: Mapping[str, float], motion: MeasuredMotion) -> bool:
+    """Whether elevation or pitch moves farther in some units, `rad` radians each, than an arm can."""
     return any(
         rad[name.removesuffix("_rad")] * motion.angle_range[name.removesuffix("_rad")] > 2.0 * limit_rad
         for name, limit_rad in MAX_ANGLE_RAD.items()
     )
 
 
-def _gain_deviations(scale: Scale, motion: MeasuredMotion, reference: Reference) -> dict[str, float]:
-    """Compare each axis' measured gain with the rig file's; return deviations in standard deviations, by
-    axis.
+def _gain_deviations(
+    rad: Mapping[str, float], volts: float, motion: MeasuredMotion, reference: Reference
+) -> dict[str, float]:
+    """Compare each axis' measured gain with the rig file's, in units of `rad` radians and `volts` volts;
+    return deviations in standard deviations, by axis.
     """
-    volts, rad = scale.volts(reference), scale.rad(reference)
     measured = {
         "elevation": motion.gain["elevation"] * rad["elevation"] / volts,
         "pitch": motion.gain["pitch"] * rad["pitch"] / volts,
@@ -306,19 +332,23 @@ def _deviation_std(measured: float, reference: float, std: float) -> float:
     return math.log(max(abs(measured), 1e-300) / abs(reference)) / std if reference else 0.0
 
 
-def _angle_unit_nats(scale: Scale, axis: str, motion: MeasuredMotion, reference: Reference) -> float:
-    """Log-likelihood of the unit of an axis [nats], by quantisation; whole numbers are counts."""
-    unit = scale.angles[axis]
+def _angle_unit_nats(
+    units: Mapping[str, str], rad: float, axis: str, motion: MeasuredMotion, reference: Reference
+) -> float:
+    """Log-likelihood of the unit of an axis, `rad` radians, among the `units` of all axes [nats], by
+    quantisation; whole numbers are counts.
+    """
+    unit = units[axis]
     nats = 0.0
     if not motion.stated_units[axis]:
         nats -= _RARE_UNIT_NATS.get(unit, 0.0)
-        nats -= _MIXED_UNITS_NATS if unit != scale.angles["elevation"] else 0.0
+        nats -= _MIXED_UNITS_NATS if unit != units["elevation"] else 0.0
     if motion.integer_valued[axis] and unit in _WHOLE_UNITS and motion.stated_units[axis]:
         return nats
     if motion.integer_valued[axis] or unit == COUNT:
         is_count = motion.integer_valued[axis] and unit == COUNT
         return nats if is_count else nats - _QUANTISATION_NATS
-    step_rad = motion.quantisation_step[axis] * scale.rad(reference)[axis]
+    step_rad = motion.quantisation_step[axis] * rad
     if not step_rad:
         return nats
     is_rigs_encoder = abs(2.0 * math.pi / step_rad / reference.counts[axis] - 1.0) < _COUNTS_TOLERANCE
