@@ -370,6 +370,41 @@ def test_parquet_and_excel(suffix: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.medium
+@pytest.mark.parametrize("suffix", ["parquet", "xlsx"])
+def test_a_slower_signal_with_blank_cells_is_a_column(suffix: str, tmp_path: Path) -> None:
+    import pandas
+
+    slow = np.where(np.arange(X.size) % 5 == 2, X, np.nan)
+    words = [None if number % 5 else "ready" for number in range(X.size)]
+    frame = pandas.DataFrame({"t": T_S, "slow": slow, "words": words, "blank": np.nan * X})
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "parquet":
+        frame.to_parquet(path)
+    else:
+        frame.to_excel(path, index=False)
+    table = read_table(path)
+    np.testing.assert_allclose(table.columns["slow"].values, slow)
+    assert set(table.columns) == {"t", "slow"} and dict(table.unread) == {"words": "ready"}
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal", "mark"), [("\t", ",", ","), (";", ".", "."), (";", ".", ",")]
+)
+def test_a_mark_that_repeats_separates_thousands(
+    separator: str, decimal: str, mark: str, tmp_path: Path
+) -> None:
+    times_ms = [998_970 + 10 * number for number in range(len(X))]
+    lines = [
+        separator.join((f"{time:,}".replace(",", mark), f"{x:.4f}".replace(".", decimal)))
+        for time, x in zip(times_ms, X, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    table = read_table(tmp_path / "a.csv")
+    assert table.columns["column 1"].values == pytest.approx(times_ms)
+    assert table.columns["column 2"].values == pytest.approx(X)
+
+
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "above", [[], [["Measurement 7"], ["Sample time", 0.01], []]], ids=["plain", "titles"]
 )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from heli_host.data.arrays import Floats
 from heli_host.data.files import LOG_WRITER
 from heli_host.data.tables.limits import (
     MAX_BYTES,
@@ -33,8 +34,9 @@ if TYPE_CHECKING:
     import pyarrow
 
 
-_MIN_SHARE = 0.5
-"""Smallest share of numbers in a column from which it is read as numbers."""
+_MIN_SHARE: Final = 0.5
+"""Share of numbers among the cells that are not blank, above which a column is read as numbers. A slower
+signal leaves most of its cells blank."""
 
 
 def read_parquet(path: Path) -> Table:
@@ -203,18 +205,23 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
             if isinstance(first, str):
                 unit = unit_of(first.strip("[]() "))
             values = pandas.to_numeric(series, errors="coerce").to_numpy(np.float64)
-            at_s = None if np.isfinite(values).mean() > _MIN_SHARE else seconds_of(series)
+            at_s = None if _number_share(values, series) > _MIN_SHARE else seconds_of(series)
             if at_s is not None:
                 values, unit = at_s, "s"
-        if np.isfinite(values).mean() > _MIN_SHARE:
+        if _number_share(values, series) > _MIN_SHARE:
             columns[str(name)] = Column(values, unit)
-        elif series.notna().mean() > _MIN_SHARE:
+        elif series.notna().any():
             unread[str(name)] = str(series.dropna().iloc[-1])
     if not columns:
         raise FlightDataError(
             f"{path}: the file has no columns of numbers", "give a table with one row per sample"
         )
     return Table(str(path), columns, unread=unread)
+
+
+def _number_share(values: Floats, cells: pandas.Series) -> float:
+    """Return the share of numbers among the cells that are not blank; 0 if all are blank."""
+    return float(np.isfinite(values).sum() / max(1, int(cells.notna().sum())))
 
 
 _MAX_VALUES: Final = 64

@@ -50,6 +50,8 @@ _THOUSANDS: Final = {
     ",": r"^[-+]?\d{1,3}(?:[.'\u2019\s\u202f\u00a0]\d{3})+(?:,\d*)?$",
 }
 """Numbers with separators of thousands, by decimal mark."""
+_GROUPED: Final = r"^[-+]?\d{1,3}(?:([,.])\d{3})(?:\1\d{3})+$"
+"""Numbers with the same mark twice or more, as in `1,204,500`: it separates thousands in any dialect."""
 _COMMA_NUMBER: Final = r"^[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?$"
 _LABELLED: Final = r"^([^\d+\-.]*)([-+]?\d[\d,.']*(?:[eE][-+]?\d+)?)([^\d]*)$"
 _NAMED_VALUE: Final = re.compile(
@@ -333,6 +335,8 @@ def _numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
     if not unread.any():
         return values, ""
     text = cells[unread].astype(str).str.strip()
+    if (grouped := _grouped_numbers(cells, text)) is not None:
+        return grouped, ""
     thousands = text.str.match(_THOUSANDS[dialect.decimal])
     if thousands.mean() > _LABEL_SHARE:
         values[unread] = _without_thousands(text.where(thousands), dialect)
@@ -353,6 +357,21 @@ def _numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
         return values, ""
     values[unread] = _without_thousands(parts[1].where(same), dialect)
     return values, unit_of(label.iloc[0].partition("|")[2])
+
+
+def _grouped_numbers(cells: pandas.Series, unread: pandas.Series) -> Floats | None:
+    """Read a column whose unread cells are numbers such as `1,204,500`; None if they are other texts.
+
+    The mark then separates the thousands of the column's smaller numbers, too: `999,500` is 999500.
+    """
+    import pandas
+
+    marks = unread.str.extract(_GROUPED)[0]
+    if marks.notna().mean() <= _LABEL_SHARE or marks.dropna().nunique() != 1:
+        return None
+    bare = cells.astype(str).str.strip().str.replace(str(marks.dropna().iloc[0]), "", regex=False)
+    values: Floats = pandas.to_numeric(bare, errors="coerce").to_numpy(np.float64)
+    return values
 
 
 def _without_thousands(text: pandas.Series, dialect: Dialect) -> Floats:
