@@ -111,6 +111,21 @@ def test_a_right_import_has_no_mistake_and_its_clock_may_begin_anywhere() -> Non
     assert row_difference(halves, truth_of(flight)) == 0
 
 
+@pytest.mark.parametrize("late_rows", [0, 2])
+def test_voltages_of_a_slow_quantised_part_are_late_only_if_they_were_moved(late_rows: int) -> None:
+    exact = made_flight(0.01)
+    counts = {f"{axis}_rad": 0.003 * np.round(getattr(exact, f"{axis}_rad") / 0.003) for axis in AXES}
+    flight = replace(exact, **counts)
+    part = imported_of(flight)
+    columns = {name: values[2850:].copy() for name, values in part.columns.items()}
+    for motor in MOTORS:
+        columns[motor] = np.roll(columns[motor], late_rows)
+    truth = replace(truth_of(flight), lost_s=28.5, time_tolerance_s=0.01)
+    noticed = mistakes([ImportedFlight(part.t_s[2850:], columns)], truth)
+    expected = [f"{motor}: late by 0.02 s" for motor in MOTORS] if late_rows else []
+    assert noticed == expected
+
+
 @pytest.mark.slow
 def test_a_drawn_case_is_a_file_with_the_rows_of_its_truth(tmp_path: Path) -> None:
     flights = [made_flight(0.002)] * len(RECIPES)

@@ -31,7 +31,7 @@ class ImportTruth:
     """Pattern that the words of the import must match for each kind of repair, by kind."""
     unknown: tuple[str, ...] = ()
     """Facts that the file does not show, so that a question about them is right: `mirror`, `zero`, `scale`,
-    `supply` or `columns`."""
+    `supply`, `columns`, or `currents`: without names, currents are not distinguished from voltages."""
 
 
 @dataclass(frozen=True)

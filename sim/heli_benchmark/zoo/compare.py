@@ -15,6 +15,11 @@ from heli_benchmark.zoo.case import ImportTruth, Samples
 from heli_benchmark.zoo.words import MOTORS
 
 _SEARCH_STEP_S: Final = 0.04
+_FINE_SHIFTS_S: Final = np.linspace(-0.08, 0.08, 81)
+"""Times about the best one of the coarse search that are compared: two of its steps to each side."""
+_CHANGE_S: Final = 0.2
+"""Time over which changes of the angles are compared. Over single rows, quantised angles hardly change, and a
+slow part resembles itself at many times."""
 _SAME_PLACE: Final = 0.97
 """Share of the best score from which a short part of a flight is where the clock of a longer one says."""
 _COMPARED_ROWS: Final = 1500
@@ -192,7 +197,7 @@ def _shift(flight: ImportedFlight, truth: ImportTruth, longer_s: Sequence[float]
         scores = _shift_scores(flight, truth, rows, np.array([best, *longer_s]))
         likeliest = int(np.argmax(scores[1:]))
         best = longer_s[likeliest] if scores[1 + likeliest] > _SAME_PLACE * scores[0] else best
-    return _best_shift(flight, truth, rows, best + np.arange(-0.05, 0.0501, 0.002))
+    return _best_shift(flight, truth, rows, best + _FINE_SHIFTS_S)
 
 
 def _best_shift(flight: ImportedFlight, truth: ImportTruth, rows: Floats, shifts_s: Floats) -> float:
@@ -202,13 +207,17 @@ def _best_shift(flight: ImportedFlight, truth: ImportTruth, rows: Floats, shifts
 def _shift_scores(flight: ImportedFlight, truth: ImportTruth, rows: Floats, shifts_s: Floats) -> Floats:
     """Return the sum of the angles' correlations at each time of the truth minus that of the flight."""
     scores = np.zeros(shifts_s.size)
+    # Slow motion carries no information about the time.
+    change_s = min(_CHANGE_S, 0.25 * float(np.ptp(flight.t_s)))
+    later = np.searchsorted(flight.t_s, flight.t_s[rows] + change_s)
+    rows, later = rows[later < flight.t_s.size], later[later < flight.t_s.size]
+    times_s = flight.t_s[np.array([rows, later])]
     for axis in AXES:
         samples = truth.samples[axis]
-        imported = flight.columns[axis][rows]
-        # Slow parts carry no information about the time.
-        imported = np.diff(imported)
+        imported = flight.columns[axis][later] - flight.columns[axis][rows]
         for index, shift_s in enumerate(shifts_s):
-            true = np.diff(np.interp(flight.t_s[rows] + shift_s, samples.t_s, samples.values))
+            before, after = np.interp(times_s + shift_s, samples.t_s, samples.values)
+            true = after - before
             size = float(np.linalg.norm(true) * np.linalg.norm(imported))
             scores[index] += abs(float(true @ imported)) / size if size > 0.0 else 0.0
     return scores

@@ -502,6 +502,8 @@ class _Drawing:
         if random.chance(share):
             extras.append("counter")
             self._add("extra", words.counter, "", np.arange(float(measured.true_s.size)), 0)
+        if without_voltages and wants_currents and self.style == "none":
+            self.unknown.append("currents")
         self.traits += dict.fromkeys(extras)
 
     def _stall(self, measured: _Measured) -> None:

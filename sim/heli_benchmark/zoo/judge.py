@@ -88,6 +88,8 @@ def judge_import(case: LogCase, folder: Path) -> Score:
         return _judge_flights(case, guessed, ())
     if not guessed.subjects:
         return _judge_refusal(case, guessed)
+    if "currents" in case.truth.unknown and "the columns" in guessed.subjects:
+        return _score(case, DOUBTED, f"asks about {'; '.join(guessed.subjects)}")
     if case.truth.refusal:
         return _score(case, WRONG_REASON, f"asks about {', '.join(guessed.subjects)}, and should refuse")
     confirmed = _run_import(
