@@ -266,7 +266,7 @@ def split_unit(name: str) -> tuple[str, str]:
     match = _TAIL.match(name)
     # V_s is a sum of voltages and pitch_v is a speed, so that "s" and "v" are units in some names only.
     is_one_letter_unit = match is not None and (
-        (match.group(2) == "s" and match.group(1).lower() in _BEFORE_S) or match.group(2) == "V"
+        (match.group(2) == "s" and match.group(1).lower() in _BEFORE_S) or match.group(2) in ("V", "mA")
     )
     if match and (is_one_letter_unit or match.group(2).lower() in _BARE_TAILS):
         return match.group(1), unit_of(match.group(2))

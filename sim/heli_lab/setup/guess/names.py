@@ -355,8 +355,8 @@ def _stated_quantity(words: list[str], role: str) -> str:
         if stating:
             return quantity
     names_no_role = {word for word in words if not word.isdigit()}
-    if names_no_role == {"i"}:
-        # As in ``i1``: the current of a motor that is not named.
+    if "i" in names_no_role and names_no_role <= {"i", "a", "ma"}:
+        # As in ``i1`` and ``i1_A``: the current of a motor that is not named.
         return "a current"
     return A_COUNTER if not role and _COUNTERS.intersection(words) else ""
 
