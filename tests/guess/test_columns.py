@@ -239,6 +239,7 @@ def test_without_names_the_motion_proposes_columns_and_asks_for_a_profile() -> N
     }
     (doubt,) = (ambiguity for ambiguity in guess.ambiguities if ambiguity.subject == "the columns")
     assert "no name states elevation" in doubt.reason and "state them in a profile" in doubt.reason
+    assert "a motor's current moves like its voltage" in doubt.reason
 
 
 @pytest.mark.medium
@@ -315,6 +316,14 @@ def test_a_file_without_voltages_is_refused_with_the_reason() -> None:
     }
     with pytest.raises(FlightDataError, match="as an axis follows its setpoint"):
         proposed(replace(table, columns={**angles, **setpoints}))
+    repeated_s = Column(np.floor(t_s * 10.0) / 10.0)
+    with pytest.raises(FlightDataError, match=r"the time is uncertain .* no column is a motor voltage"):
+        proposed(replace(table, columns={"w": repeated_s, **{axis: angles[axis] for axis in AXES}}))
+    with pytest.raises(
+        FlightDataError, match=r"left out: front \(no number in it, but 'off'\), back \(too few"
+    ):
+        sparse = np.where(np.arange(t_s.size) % 600 == 0, 1.0, np.nan)
+        proposed(replace(table, columns={**angles, "back": Column(sparse)}, unread={"front": "off"}))
     few = {name: table.columns[name] for name in ("t", "pitch", "travel", "front")}
     with pytest.raises(FlightDataError, match=r"the only angles are pitch \(pitch\) and travel \(travel\)"):
         proposed(replace(table, columns=few))

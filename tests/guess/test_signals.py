@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,6 +86,34 @@ def test_a_unit_of_times_names_a_time_whose_word_is_not_known() -> None:
     assert clock_of(coarse).column == "tijd [s]"
 
 
+@pytest.mark.parametrize("rows_per_tick", [3, 12.5, 33])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_coarse_clock_without_a_name_is_proposed_and_doubted(
+    rows_per_tick: float, direction: float
+) -> None:
+    rows: Floats = np.arange(600, dtype=np.float64)
+    ticks: Floats = np.floor((rows + 5.0) / rows_per_tick)
+    tick_s = 0.01 * rows_per_tick
+    table = Table(
+        "a.csv", {"x": Column(np.sin(rows)), "y": Column((direction * tick_s * ticks)[:: int(direction)])}
+    )
+    clock = clock_of(replace(table, columns={**table.columns, "k": Column(rows)}))
+    assert (clock.column, clock.unit, clock.sure) == ("y", "s", False)
+    assert "rises in equal steps" in clock.alternative
+
+
+def test_a_staircase_is_no_coarse_clock() -> None:
+    random = np.random.default_rng(4)
+    stairs = {
+        "random lengths": np.cumsum(random.random(600) < 0.1) * 0.1,
+        "a bend": np.floor(np.arange(600.0) ** 1.2 / 40.0),
+        "turns round": np.floor(np.minimum(np.arange(600.0), 900.0 - np.arange(600.0)) / 12.0),
+        "few steps": np.floor(np.arange(600.0) / 100.0),
+    }
+    for name, values in stairs.items():
+        assert not clock_of(Table("a.csv", {"x": Column(values)})).column, name
+
+
 def test_no_clock() -> None:
     assert not clock_of(Table("a.csv", {"x": Column(np.sin(np.arange(200.0)))})).column
     assert not clock_of(table("t_s", 1e12)).unit
@@ -98,3 +127,12 @@ def test_a_jump_of_an_encoder_ends_the_part_that_is_guessed(jump: float) -> None
     voltage: Floats = 3.0 + 0.3 * np.sin(7.0 * t_s) + np.where(t_s > 3.0, 4.0, 0.0)
     part, _ = longest_run(Table("x", {"p": Column(angle), "u": Column(voltage)}), t_s)
     assert len(part) == (601 if jump else 1000)
+
+
+def test_an_angle_that_stands_still_before_its_jump_is_no_motion() -> None:
+    step = 2.0 * math.pi / 4096.0
+    t_s: Floats = np.arange(1000, dtype=np.float64) * 0.01
+    angle: Floats = np.round(0.4 * np.sin(t_s) / step) * step
+    angle[550:800] = angle[550]
+    part, part_s = longest_run(Table("x", {"p": Column(angle)}), t_s)
+    assert len(part) == 551 and part_s[0] == 0.0

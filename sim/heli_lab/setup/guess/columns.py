@@ -98,6 +98,12 @@ class PreparedFile:
     begins: bool  # Whether this part is the beginning of the file
     uncertain_s: float  # Largest error of a time, because a coarse clock hides where rows are missing
 
+    @property
+    def too_sparse(self) -> list[str]:
+        """Columns with too few numbers for a signal."""
+        columns = [name for name in self.table.columns if name != self.clock.column and not is_time(name)]
+        return [name for name in columns if name not in self.signals.raw]
+
 
 def prepare_file(
     table: Table, reference: Reference, rate_Hz: float | None, known: KnownEntries = NOTHING_KNOWN
@@ -235,6 +241,8 @@ def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> Column
     first = files[0]
     meanings = meanings_of({name: first.table.columns[name].unit for name in first.signals.raw})
     named, free, left_out = _sorted_by_meaning(files, known, meanings)
+    left_out |= {name: f"no number in it, but '{cell}'" for name, cell in first.table.unread.items()}
+    left_out |= dict.fromkeys(first.too_sparse, "too few numbers")
     unnamed_axes = [axis for axis in AXES if not named[axis]]
     # Two columns with the name of one angle, and no name for another angle: books use other letters.
     shared = [axis for axis in AXES if unnamed_axes and len(named[axis]) > 1]
@@ -566,11 +574,20 @@ def column_ambiguities(
     if is_stated:
         return [], sentence
     unstated = ", ".join(role for role in best.columns if role not in options.stated)
+    current = ""
+    if not _names_state_voltages(best, files[0].table):
+        current = "a motor's current moves like its voltage, and no number distinguishes them; "
     reason = (
-        f"no name states {unstated}, and the motion is {margin:.0f} nats for this choice; name the columns, "
-        "or state them in a profile"
+        f"no name states {unstated}, and the motion is {margin:.0f} nats for this choice; {current}"
+        "name the columns, or state them in a profile"
     )
     return [Ambiguity("the columns", str(best), _differences_text(best, others[:1]), reason)], sentence
+
+
+def _names_state_voltages(best: Assignment, table: Table) -> bool:
+    """Whether names or units state that both columns of the voltages are voltages, of whichever motor."""
+    meanings = meanings_of({name: column.unit for name, column in table.columns.items()})
+    return all(set(meanings[name].possible_roles) <= set(VOLTAGE_ROLES) for name in best.voltages)
 
 
 def _contradictions(

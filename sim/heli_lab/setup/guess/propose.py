@@ -216,7 +216,7 @@ def propose(
     options = column_options(files, known)
     ranked = ranked_assignments(files, options, reference)
     if not ranked:
-        raise _uncertain_time(source, clock) or options.too_few(source)
+        raise _with_uncertain_time(options.too_few(source), source, clock)
     ranked, motion = _ranked_by_units_too(files, ranked, reference)
     assignment = ranked[0]
     doubtful_columns, columns_sentence = column_ambiguities(ranked, options, files, reference)
@@ -233,7 +233,7 @@ def propose(
         check_third_angle(source, regressions, assignment, options)
         ambiguities += check_voltages(source, regressions, assignment, options, files)
     except FlightDataError as error:
-        raise (_uncertain_time(source, clock) or error) from error
+        raise _with_uncertain_time(error, source, clock) from error
     # Signs: the axes have to accelerate in the direction of their causes.
     signs = fewest_sign_changes(regressions, flights.feedback(), known)
     torque_nats = flights.torque_nats(signs)
@@ -274,14 +274,14 @@ def propose(
     return proposed, longest_parts
 
 
-def _uncertain_time(source: str, clock: Clock) -> FlightDataError | None:
-    """Describe a table that moves like no rig, if its time may be the reason; None if the time is certain."""
+def _with_uncertain_time(error: FlightDataError, source: str, clock: Clock) -> FlightDataError:
+    """Return the `error` of a table without a rig's motion; an uncertain time may be the reason."""
     if clock.sure:
-        return None
+        return error
     return FlightDataError(
         f"{source}: the time is uncertain ('{clock.column}' in {clock.unit}, or {clock.alternative}), and "
-        "with it no columns move like a rig's",
-        NO_RATE,
+        f"with it {error.cause.removeprefix(f'{source}: ')}",
+        f"{NO_RATE}; {error.remedy}",
     )
 
 

@@ -9,7 +9,7 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-from heli_host.data.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_host.data.tables import Column, Table
 from heli_host.data.tables.rows import longest_rise, spikes
 from heli_host.data.tables.table import TIME_UNITS, split_unit
@@ -32,6 +32,14 @@ _MAX_UNNAMED_FALLING_SHARE: Final = 0.03
 _LINEAR: Final = 0.9999
 """Correlation with the row number from which a column without the name of a time may be one. Travel at a
 constant rate has less, because it begins at rest."""
+_COARSE_SHARE: Final = 0.5
+"""Share of rows that equal the row before, above which a column may be a coarse clock."""
+_RUN_DEVIATION: Final = 0.25
+"""Deviation of an equal run of a coarse clock from the usual length, as a share of it; a row is rounding."""
+_EVEN_RUN_SHARE: Final = 0.9
+"""Smallest share of such runs. Clocks that lose rows have shorter ones; other quantities have all lengths."""
+_COARSE: Final = "another quantity that rises in equal steps"
+"""Other meaning of a column without the name of a time, whose values repeat as those of a coarse clock."""
 _MAX_RISE: Final = 3.0
 """Rise from row to row, as a multiple of the median, from which rows are missing."""
 _STEP_ROWS: Final = 1000
@@ -101,7 +109,8 @@ def clock_of(table: Table) -> Clock:
         is_named = names.is_time(name) or (has_time_unit and not states_time)
         rising_share, falling_share = float(np.mean(steps > 0.0)), float(np.mean(steps < 0.0))
         step = _mean_step(values)
-        if not (_is_clock(values, is_named) and step > 0.0):
+        is_coarse = not is_named and _is_coarse_clock(values)
+        if not ((is_coarse or _is_clock(values, is_named)) and step > 0.0):
             if is_named and np.ptp(values) == 0.0:
                 reasons.append(f"'{name}' is {values[0]:g} in all rows")
             elif is_named:
@@ -113,12 +122,14 @@ def clock_of(table: Table) -> Clock:
             continue
         even_share = float(np.mean(np.abs(steps / step - 1.0) < _MAX_UNEVENNESS))
         clock = _interpret_as_times(name, column.unit, step, float(values[0]))
+        if is_coarse and clock.sure:
+            clock = replace(clock, sure=False, alternative=_COARSE)
         score = 2.0 * is_named + even_share + bool(clock.unit) + clock.sure
         scored_clocks.append((score, clock))
     if not scored_clocks:
-        reasons.append("no column has the name of a time, and none rises steadily")
+        reasons.append("no column has the name of a time, and none rises steadily or in equal steps")
         return Clock("", "", False, reasons[0])
-    return max(scored_clocks, key=lambda scored: scored[0])[1]
+    return max(scored_clocks, key=lambda scored: (scored[0], bool(scored[1].unit)))[1]
 
 
 def _is_clock(values: Floats, is_named: bool) -> bool:
@@ -135,16 +146,38 @@ def _is_clock(values: Floats, is_named: bool) -> bool:
     # The times of a few rows may be damaged.
     if rows.size < (1.0 - 2.0 * _MAX_UNNAMED_FALLING_SHARE) * values.size:
         return False
+    return _is_on_line(rows, values[rows])
+
+
+def _is_coarse_clock(values: Floats) -> bool:
+    """Whether a column never turns round, and holds each value for about as many rows, as a coarse clock."""
+    steps = np.diff(values)
+    steps = -steps if values[-1] < values[0] else steps
+    starts = np.flatnonzero(steps) + 1
+    if (steps < 0.0).any() or float(np.mean(steps == 0.0)) <= _COARSE_SHARE or starts.size <= _MIN_TIMES:
+        return False
+    # The runs at both ends are no whole ones.
+    lengths = np.diff(starts)
+    usual = float(np.median(lengths))
+    is_even = np.abs(lengths - usual) <= max(1.0, _RUN_DEVIATION * usual)
+    if float(np.mean(is_even)) < _EVEN_RUN_SHARE:
+        return False
+    return _is_on_line(starts[:-1] + 0.5 * (lengths - 1), values[starts[:-1]])
+
+
+def _is_on_line(rows: Floats | Integers, values: Floats) -> bool:
+    """Whether the `values` at some rows are on a straight line. Shapes: `rows` (n,), `values` (n,)."""
     # A gap is no bend of the line.
-    rises = np.abs(np.diff(values[rows]))
+    rises = np.abs(np.diff(values))
     line = np.cumsum(np.minimum(rises, _MAX_RISE * float(np.median(rises))))
-    return float(np.corrcoef(rows[1:], line)[0, 1]) > _LINEAR
+    return np.ptp(line) > 0.0 and float(np.corrcoef(rows[1:], line)[0, 1]) > _LINEAR
 
 
 def _mean_step(values: Floats) -> float:
     """Return the typical rise of a clock from row to row, also if rows share times or a counter overflows."""
     steps = np.diff(values)
-    if float(np.mean(steps < 0.0)) > _MIN_RISING_SHARE:
+    falls, rises = int((steps < 0.0).sum()), int((steps > 0.0).sum())
+    if falls > _MIN_RISING_SHARE * (falls + rises):
         steps, values = -steps, -values
     if float(np.mean(steps > 0.0)) > 0.5:
         return float(np.median(steps[steps > 0.0]))
@@ -220,13 +253,21 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
     breaks = set(known[1:][np.diff(t_s[known]) < 0.0].tolist())
     for name, column in table.columns.items():
         if names.meaning_of(name).role not in names.VOLTAGE_ROLES:
-            breaks |= _jump_rows(column.values, t_s)
+            jumps = _jump_rows(column.values, t_s)
+            # A logger that misses its sensor repeats the last angle until the jump: no motion of the rig.
+            breaks |= jumps | {_run_start(column.values, row - 1) for row in jumps}
     edges = [0, *sorted(breaks), len(t_s)]
     if len(edges) == 2:
         return table, t_s
     start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
     columns = {name: Column(column.values[start:stop], column.unit) for name, column in table.columns.items()}
     return replace(table, columns=columns), t_s[start:stop]
+
+
+def _run_start(values: Floats, row: int) -> int:
+    """Return the row after the first of the equal values that end at a `row`; 0 if it is in the first run."""
+    differing = np.flatnonzero(values[:row] != values[row])
+    return int(differing[-1]) + 2 if differing.size else 0
 
 
 def _jump_rows(values: Floats, t_s: Floats) -> set[int]:
