@@ -26,6 +26,8 @@ from heli_lab.setup.guess.names import (
         ("i1", "", "a current"),
         ("i1_A", "", "a current"),
         ("I2_mA", "", "a current"),
+        ("logsout.i1_A", "", "a current"),
+        ("/rig/i2", "", "a current"),
         ("motor_A", "", ""),
         ("front [A]", "front", "a current"),
         ("Versorgungsspannung", "", "a supply voltage"),

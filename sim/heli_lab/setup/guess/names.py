@@ -161,6 +161,8 @@ _OTHER_UNITS: Final = {
 }
 """Quantities by units that neither an angle nor a voltage has."""
 _SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])")
+_PATH: Final = re.compile(r"[./:]")
+"""What separates the name of a signal from the names of the messages or structures that contain it."""
 _INDEX: Final = re.compile(r"\d+")
 _CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _CHINESE: Final = tuple(
@@ -272,6 +274,8 @@ def meaning_of(name: str, unit: str = "") -> ColumnMeaning:
     unit = unit or split_unit(name)[1]
     role = _stated_role(words)
     quantity = _OTHER_UNITS.get(unit, "") or _stated_quantity(words, role)
+    if not role and _is_current(name):
+        quantity = "a current"
     if quantity:
         return ColumnMeaning(role, quantity)
     if unit in VOLTAGE_UNITS or unit in SHARES:
@@ -286,6 +290,12 @@ def meaning_of(name: str, unit: str = "") -> ColumnMeaning:
     if possible == ROLES and bare and bare <= _VOLTAGES:
         possible = VOLTAGE_ROLES
     return ColumnMeaning("", "", bool(_MEASURED.intersection(words)), possible)
+
+
+def _is_current(name: str) -> bool:
+    """Whether a `name` is that of a current of a motor that is not named, such as ``i1`` or ``logs.i1_A``."""
+    words = {word for word in words_of(_PATH.split(split_unit(name)[0])[-1]) if not word.isdigit()}
+    return "i" in words and words <= {"i", "a", "ma"}
 
 
 def words_of(name: str) -> list[str]:
@@ -354,10 +364,6 @@ def _stated_quantity(words: list[str], role: str) -> str:
             stating.remove(_GROUP)
         if stating:
             return quantity
-    names_no_role = {word for word in words if not word.isdigit()}
-    if "i" in names_no_role and names_no_role <= {"i", "a", "ma"}:
-        # As in ``i1`` and ``i1_A``: the current of a motor that is not named.
-        return "a current"
     return A_COUNTER if not role and _COUNTERS.intersection(words) else ""
 
 
