@@ -72,6 +72,9 @@ def table(name: str, step: float, unit: str = "") -> Table:
         ("t_s", 10000.0, "", "us", False),
         ("x2", 5.0, "ms", "ms", True),
         ("t", 1.0 / 864000.0, "", "day", True),
+        ("t", 0.02 / 60.0, "", "min", False),
+        ("t_s", 0.02 / 60.0, "", "s", True),
+        ("t", 0.02, "", "s", True),
         ("Zeit [10ms]", 2.5, "", "ms", False),
     ],
 )

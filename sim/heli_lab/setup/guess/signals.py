@@ -48,6 +48,8 @@ _MAX_UNEVENNESS: Final = 0.5
 """Largest deviation of an even step from the median step, as a share of it."""
 _STEPS_s: Final = (0.0002, 0.15)
 """Smallest and largest step of a log [s]; logs of such flights have at least 7 Hz."""
+_MIN_FLIGHT_S: Final = 3.0
+"""Duration of a log below which a larger unit of its times is more plausible [s]. Arms move for seconds."""
 _JUMP_STEPS: Final = 15.0
 """A step of an angle this many times above its typical largest one is a jump. Angles have up to 3; voltages
 have up to 15, when a setpoint moves. Lower values cut flights there, higher ones miss jumps of slow logs."""
@@ -121,7 +123,7 @@ def clock_of(table: Table) -> Clock:
                 )
             continue
         even_share = float(np.mean(np.abs(steps / step - 1.0) < _MAX_UNEVENNESS))
-        clock = _interpret_as_times(name, column.unit, step, float(values[0]))
+        clock = _interpret_as_times(name, column.unit, step, float(values[0]), values.size)
         if is_coarse and clock.sure:
             clock = replace(clock, sure=False, alternative=_COARSE)
         score = 2.0 * is_named + even_share + bool(clock.unit) + clock.sure
@@ -185,10 +187,14 @@ def _mean_step(values: Floats) -> float:
     return float(np.median((values[rows:] - values[:-rows]) / rows))
 
 
-def _interpret_as_times(name: str, header_unit: str, step: float, first: float) -> Clock:
-    """Interpret a column that rises from row to row, from its `first` value on, as times."""
+def _interpret_as_times(name: str, header_unit: str, step: float, first: float, rows: int) -> Clock:
+    """Interpret a column that rises from row to row, from its `first` value on, as times of all `rows`."""
     shortest_s, longest_s = _STEPS_s
     possible_units = [unit for unit, s in TIME_UNITS.items() if shortest_s <= step * s <= longest_s]
+    # As 0.0003: a step in minutes at 50 Hz, or in seconds at 3 kHz, with which the log is a second long.
+    too_short = [unit for unit in possible_units if step * rows * TIME_UNITS[unit] < _MIN_FLIGHT_S]
+    too_short = [unit for unit in too_short if len(too_short) < len(possible_units)]
+    possible_units = [unit for unit in possible_units if unit not in too_short] + too_short
     words = names.words_of(name)
     stated_unit = header_unit or split_unit(name)[1]
     if not stated_unit:
@@ -225,7 +231,9 @@ def _interpret_as_times(name: str, header_unit: str, step: float, first: float) 
         return Clock(
             name, possible_units[0], False, f"in {unknown}, as its name says, which is no known unit"
         )
-    # A log has steps of 0.2 to 150 ms. At most two units fit, and the larger one is meant.
+    if too_short:
+        return Clock(name, possible_units[0], False, f"in {too_short[0]}")
+    # A log has steps of 0.2 to 150 ms. At most two units fit, and the first one is meant.
     return Clock(name, possible_units[0], not may_count_rows, "it may count rows" if may_count_rows else "")
 
 
