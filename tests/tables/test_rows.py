@@ -211,6 +211,15 @@ def test_values_that_a_failed_link_repeats_are_left_out(tmp_path: Path) -> None:
     assert "stand still although the motors work (4.000 to 6.990 s)" in change.reason
 
 
+def test_values_that_a_failed_link_repeats_while_the_clock_starts_again_are_left_out(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    values[400:700, 2:] = values[400, 2:]
+    times = np.where(np.arange(N) < 600, T_S, T_S - T_S[600])
+    conversion = converted(tmp_path, lines(times, values))
+    assert [len(flight) for flight in conversion.flights] == [401, 800]
+    assert "falls from 4.000 to 1.000 s" in conversion.flights[1].meta["cut"]
+
+
 def test_angles_alone_that_stand_still_are_left_out(tmp_path: Path) -> None:
     values = VALUES.copy()
     values[400:700, 2:] = values[400, 2:]

@@ -277,13 +277,22 @@ def _complete_rows(rows: _Rows, table: Table, profile: Profile) -> tuple[_Rows, 
         lost = int((~is_complete).sum())
         changes.append(RowChange("left out", lost, "at an end, because a column was moved by its delay"))
     rows = rows.selected(is_complete)
-    stands = _standing(rows)
+    stands = _standing(replace(rows, t_s=_without_falls(rows.t_s)))
     if stands.any():
         changes.append(_standing_change(rows.t_s, stands))
     rows = rows.selected(~stands)
     if rows.t_s.size < MIN_ROWS:
         raise _too_few_rows(replace(table, changes=(*table.changes, *changes)), profile)
     return rows, changes
+
+
+def _without_falls(t_s: Floats) -> Floats:
+    """Continue times by a typical step where the clock starts again. Shapes: `t_s` (n,); returns (n,)."""
+    steps_s = np.diff(t_s)
+    if not (steps_s < 0.0).any():
+        return t_s
+    steps_s = np.where(steps_s < 0.0, float(np.median(steps_s)), steps_s)
+    return np.concatenate((t_s[:1], t_s[0] + np.cumsum(steps_s)))
 
 
 def _standing(rows: _Rows) -> Booleans:
