@@ -514,7 +514,8 @@ class _Drawing:
         stall_s = random.between(1.0, 4.0)
         stop = min(count - 2, first + round(stall_s * self.rate_Hz))
         for index, column in enumerate(self.columns):
-            if column.group in AXES:
+            # The counts come from the same sensor.
+            if column.group in AXES or column.name.endswith("_raw"):
                 values = column.values.copy()
                 values[first:stop] = values[first]
                 self.columns[index] = replace(column, values=values)
