@@ -117,6 +117,12 @@ def test_a_staircase_is_no_coarse_clock() -> None:
         assert not clock_of(Table("a.csv", {"x": Column(values)})).column, name
 
 
+def test_the_newest_row_may_be_the_first_and_twice_in_the_file() -> None:
+    falling: Floats = 30.0 - 0.05 * np.sort(np.concatenate((np.arange(200.0), np.arange(0.0, 200.0, 20.0))))
+    clock = clock_of(Table("a.csv", {"timestamp": Column(falling, "s")}))
+    assert (clock.column, clock.sure) == ("timestamp", True)
+
+
 def test_no_clock() -> None:
     assert not clock_of(Table("a.csv", {"x": Column(np.sin(np.arange(200.0)))})).column
     assert not clock_of(table("t_s", 1e12)).unit

@@ -141,7 +141,8 @@ def _is_clock(values: Floats, is_named: bool) -> bool:
     if float(np.mean(steps > 0.0)) >= _MIN_RISING_SHARE:
         return True
     if is_named:
-        return falling_share < _MAX_FALLING_SHARE or falling_share > _MIN_RISING_SHARE
+        # Rows may be in the file twice, also if the newest is the first.
+        return falling_share < _MAX_FALLING_SHARE or _falls_steadily(steps)
     if min(falling_share, 1.0 - falling_share) > _MAX_UNNAMED_FALLING_SHARE or np.ptp(values) == 0.0:
         return False
     rows = longest_rise(values if falling_share < 0.5 else -values)
@@ -175,11 +176,16 @@ def _is_on_line(rows: Floats | Integers, values: Floats) -> bool:
     return np.ptp(line) > 0.0 and float(np.corrcoef(rows[1:], line)[0, 1]) > _LINEAR
 
 
+def _falls_steadily(steps: Floats) -> bool:
+    """Whether the newest row comes first; steps of 0 do not count."""
+    falls, rises = int((steps < 0.0).sum()), int((steps > 0.0).sum())
+    return falls > _MIN_RISING_SHARE * (falls + rises)
+
+
 def _mean_step(values: Floats) -> float:
     """Return the typical rise of a clock from row to row, also if rows share times or a counter overflows."""
     steps = np.diff(values)
-    falls, rises = int((steps < 0.0).sum()), int((steps > 0.0).sum())
-    if falls > _MIN_RISING_SHARE * (falls + rises):
+    if _falls_steadily(steps):
         steps, values = -steps, -values
     if float(np.mean(steps > 0.0)) > 0.5:
         return float(np.median(steps[steps > 0.0]))
