@@ -243,6 +243,16 @@ def test_without_names_the_motion_proposes_columns_and_asks_for_a_profile() -> N
 
 
 @pytest.mark.medium
+def test_without_names_a_file_without_travel_is_refused() -> None:
+    table = flight_table()
+    t_s = table.columns["t"].values
+    columns = {**table.columns, "travel": Column(np.sin(1.3 * t_s) + 0.2 * np.sin(5.1 * t_s))}
+    names = {"elevation": "x4", "pitch": "x2", "travel": "x0", "front": "x3", "back": "x1"}
+    with pytest.raises(FlightDataError, match="no column moves like travel"):
+        proposed(renamed(replace(table, columns=columns), **names))
+
+
+@pytest.mark.medium
 def test_the_one_column_that_is_left_for_a_role_needs_no_name() -> None:
     guess = proposed(renamed(flight_table(), pitch="Pi"))
     assert columns_of(guess)["pitch"] == "Pi"

@@ -80,6 +80,8 @@ _FEEDBACK_NATS: Final = 4.0
 gives such a sum, and its motion then shows no cause. Below `DECISIVE_NATS`: such a column stays in doubt."""
 _ROLE_LAGS_S: Final = (0.0, 0.06, 0.12, 0.2)
 """Lags that are compared while columns are assigned to roles [s]."""
+_EXCITED_NATS: Final = 5.0 * DECISIVE_NATS
+"""Evidence of elevation and pitch above which travel has to follow pitch, too [nats]."""
 _FOLLOWING_LAGS_S: Final = (0.1, 0.2, 0.4, 0.6, 0.9, 1.3)
 """Lags with which an axis may follow its setpoint [s]."""
 _FOLLOWED: Final = 0.85
@@ -226,8 +228,17 @@ def two_angles_only(source: str, angles: Mapping[str, str]) -> FlightDataError:
 def check_third_angle(
     source: str, regressions: Mapping[str, RegressionFit], best: Assignment, options: ColumnOptions
 ) -> None:
-    """Refuse a table whose names state two angles, if the column for the third does not move like it."""
+    """Refuse a table whose names state two angles or none, if the third one's column moves differently."""
     unstated = [axis for axis in AXES if axis not in options.stated]
+    nats = {axis: regressions[axis].log_likelihood_ratio for axis in AXES}
+    is_excited = min(nats["elevation"], nats["pitch"]) > _EXCITED_NATS
+    if len(unstated) == len(AXES) and is_excited and nats["travel"] < DECISIVE_NATS:
+        raise FlightDataError(
+            f"{source}: no column moves like travel ({best.columns['travel']} follows pitch by only "
+            f"{nats['travel']:.1f} nats, although the flight excites elevation and pitch), so that only two "
+            f"angles are known",
+            "add a column with travel, or state the columns in a profile",
+        )
     if len(unstated) != 1:
         return
     # Travel follows pitch, so a wrong column for pitch moves neither with the voltages nor with travel.
