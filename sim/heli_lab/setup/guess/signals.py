@@ -159,10 +159,10 @@ def _is_coarse_clock(values: Floats) -> bool:
     starts = np.flatnonzero(steps) + 1
     if (steps < 0.0).any() or float(np.mean(steps == 0.0)) <= _COARSE_SHARE or starts.size <= _MIN_TIMES:
         return False
-    # The runs at both ends are no whole ones.
+    # The file may cut off the runs at both ends.
     lengths = np.diff(starts)
-    usual = float(np.median(lengths))
-    is_even = np.abs(lengths - usual) <= max(1.0, _RUN_DEVIATION * usual)
+    median_rows = float(np.median(lengths))
+    is_even = np.abs(lengths - median_rows) <= max(1.0, _RUN_DEVIATION * median_rows)
     if float(np.mean(is_even)) < _EVEN_RUN_SHARE:
         return False
     return _is_on_line(starts[:-1] + 0.5 * (lengths - 1), values[starts[:-1]])
