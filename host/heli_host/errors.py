@@ -154,7 +154,7 @@ class HeliError(Exception):
 
 
 class LinkError(HeliError):
-    """Something about the serial link."""
+    """An error of the serial link."""
 
     exit_code = 3
 
@@ -229,7 +229,7 @@ class CommandTimeout(LinkError):
 
 
 class CommandRefused(LinkError):
-    """The board answered a command with anything but ok.
+    """The board answered a command with a result other than ok.
 
     Parameters
     ----------
@@ -385,7 +385,7 @@ def check_choice(name: str, value: object, choices: Iterable[str]) -> None:
 
 
 class LogError(HeliError):
-    """Something about a log file."""
+    """An error of a log file."""
 
     exit_code = 5
 

@@ -85,7 +85,7 @@ class Heli:
     Attributes
     ----------
     session : Session
-        The session, for what this class does not offer.
+        The session, for functions that this class does not offer.
     params : Parameters
         The board's parameters.
     land_on_exit : bool
@@ -165,7 +165,7 @@ class Heli:
         Raises
         ------
         LinkError
-            None has come since the board started.
+            No sample has come since the board started.
         """
         return self.telemetry.latest
 
@@ -674,7 +674,7 @@ class Heli:
         after: AfterLaw = "hold",
         parameters: Mapping[str, float] | None = None,
     ) -> LawReport:
-        """Let the board run a control law at up to 1 kHz, with its own law running along as a fallback.
+        """Let the board run a control law at up to 1 kHz, with its own law in parallel as a fallback.
 
         The board must hover under its own law. The law follows the setpoints of `setpoint`. The board's own
         law takes over when the law fails its checks; that ends this call, and the report gives the reason.

@@ -196,7 +196,7 @@ def run_controller(
     """Fly a control law over streamed voltages.
 
     The board must be armed or flying. While the law flies, telemetry comes in batches of one period and the
-    port is read every millisecond; both are put back afterwards. Whatever ends it early, the on-board loops
+    port is read every millisecond; both are restored afterwards. Whatever ends it early, the on-board loops
     take over first.
 
     Parameters

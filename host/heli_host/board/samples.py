@@ -57,7 +57,7 @@ class Sample(ChannelValues):
 
 
 class Samples(AngleViews, ChannelArrays):
-    """Consecutive samples as arrays, one entry a tick: a `ChannelArrays`, with the `AngleViews` of it."""
+    """Consecutive samples as arrays, one entry per tick: `ChannelArrays` with `AngleViews`."""
 
     @property
     def t_s(self) -> Floats:

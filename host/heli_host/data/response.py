@@ -207,7 +207,7 @@ class Response:
 
 
 def responses(flight: Flight) -> tuple[Response, ...]:
-    """Measure each axis of a flight, in the order elevation, pitch, travel; of several steps the largest."""
+    """Measure each axis of a flight, in the order elevation, pitch, travel; the largest step counts."""
     return tuple(_response(flight, axis) for axis in AXES)
 
 
@@ -234,7 +234,7 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
     Returns
     -------
     tuple of Step
-        In their order; none of a flight without setpoints.
+        In order of time; empty for a flight without setpoints.
 
     Raises
     ------
@@ -323,7 +323,7 @@ def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: f
 
 
 def rms(values: Floats) -> float:
-    """Return the root mean square; nan of nothing.
+    """Return the root mean square; nan for no values.
 
     Parameters
     ----------

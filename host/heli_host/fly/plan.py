@@ -289,7 +289,7 @@ class Plan:
         Returns
         -------
         ndarray (axes,)
-            Setpoints at which it ends, in degrees.
+            Setpoints at which the plan ends, in degrees.
 
         Raises
         ------

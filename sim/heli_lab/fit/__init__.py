@@ -1,10 +1,10 @@
-"""Estimation of parameters, states and disturbances from flights: a core for any machine, and the rig.
+"""Estimation of parameters, states and disturbances from flights: a core for any machine, applied to the rig.
 
 The core is the prediction error method in innovations form, with priors;
 `docs/explanation/how-diagnosis-works.md` derives its equations. A `GreyBoxModel` describes states, inputs,
-outputs, parameters and disturbances of a machine. These modules know no helicopter: `parameters`, `grey_box`,
-`model_functions`, `reference_trajectory`, `linearised_flight`, `innovations`, `normal_equations` and
-`estimator`. `flight_model` describes the helicopter to them.
+outputs, parameters and disturbances of a machine. These modules contain nothing about
+the helicopter: `parameters`, `grey_box`, `model_functions`, `reference_trajectory`, `linearised_flight`,
+`innovations`, `normal_equations` and `estimator`. `flight_model` describes the helicopter to them.
 
 `identify` fits a rig by multiple shooting: it simulates windows of flights from free initial states. The
 noise is the encoders' quantisation, and the tolerances of the rig are priors.

@@ -285,13 +285,13 @@ class Identification:
 
     @property
     def combinations(self) -> list[Combination]:
-        """Combinations of parameters that the flights inform less than the priors."""
+        """Combinations of parameters about which the flights contain less information than the priors."""
         problem = self.fit.problem
         return combinations(problem.names, self.fit.information, problem.parameter_vector.std)
 
     @property
     def uninformed_parameters(self) -> list[str]:
-        """Parameters that the flights do not inform."""
+        """Parameters about which the flights contain no information."""
         problem = self.fit.problem
         return uninformed_parameters(problem.names, self.fit.covariance, problem.parameter_vector.std)
 

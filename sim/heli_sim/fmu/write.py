@@ -145,8 +145,8 @@ def write_fmu(plant: Plant, path: str | Path) -> str:
     Returns
     -------
     str
-        For which system it holds a binary, such as ``x86_64-linux``; empty without a C compiler: an importer
-        then has to compile the sources.
+        System for which the file holds a binary, such as ``x86_64-linux``; empty without a C compiler: an
+        importer then has to compile the sources.
 
     Raises
     ------

@@ -95,7 +95,7 @@ class Rig(Mapping[str, Number]):
     effects : Mapping[str, Mapping[str, Number]]
         Effects beyond the model, by their ids (`heli_sim.model.effects`), each with its own numbers.
     model : str
-        Name of the model whose numbers these are; empty where any may use them.
+        Name of the model whose numbers these are; empty if any model may use them.
 
     Raises
     ------

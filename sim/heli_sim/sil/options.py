@@ -48,7 +48,7 @@ class SilOptions:
         In process: longest stretch of simulated time in one read, ms. The host's bytes reach the line at the
         beginning of a stretch.
     flash_file : str
-        File that keeps the board's flash pages; empty to forget them.
+        File that keeps the board's flash pages; if empty, they are not kept.
     board : str
         ``native``: the flight code compiled for this machine. ``due``: its ELF on an emulated Due. ``auto``:
         ``due`` when there is such an ELF.

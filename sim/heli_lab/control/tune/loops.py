@@ -46,8 +46,8 @@ class Spread:
     thrust : float
         Relative uncertainty of the thrust gain, in both directions.
     counterweight : float
-        Relative uncertainty of the counterweight's mass, in both directions. 3 % halve or nearly double the
-        thrust at hover, and with it the gain from pitch to travel.
+        Relative uncertainty of the counterweight's mass, in both directions. 3 % can halve or nearly double
+        the thrust at hover, and with it the gain from pitch to travel.
     rotor : float
         Relative difference between the rotors' masses, which causes a constant torque on pitch.
     pull_rad_s2 : float

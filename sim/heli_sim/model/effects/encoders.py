@@ -137,7 +137,7 @@ def _encoder_eccentricity(axis: str) -> EffectSpec:
                 prior=Prior(mean=0.0, std=0.02, low=-0.5, high=0.5),
                 size=True,
             ),
-            Parameter("order", "count", "periods n a revolution", typical=1.0, grid=(1.0, 2.0)),
+            Parameter("order", "count", "periods n per revolution", typical=1.0, grid=(1.0, 2.0)),
         ),
         rank=170,
         source="geometry: a disc whose centre is off runs out once a revolution, an oval one twice",

@@ -131,7 +131,7 @@ THRUST_FADE: Final = EffectSpec(
         Parameter(
             "per_s",
             "1/s",
-            "share r lost a second",
+            "share r lost per second",
             typical=0.003,
             prior=Prior(mean=0.0, std=0.02, low=-0.02, high=0.1),
             size=True,
@@ -280,7 +280,7 @@ SUPPLY_FADE: Final = EffectSpec(
         Parameter(
             "per_s",
             "1/s",
-            "share r of the voltage lost a second",
+            "share r of the voltage lost per second",
             typical=0.001,
             prior=Prior(mean=0.0, std=0.01, low=-0.01, high=0.05),
             size=True,

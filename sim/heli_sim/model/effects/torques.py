@@ -385,7 +385,7 @@ def _random_torque(axis: str, typical_Nm: float) -> EffectSpec:
             Parameter(
                 "s",
                 "s",
-                "time T over which it forgets",
+                "correlation time T",
                 typical=0.5,
                 prior=Prior(mean=0.5, std=0.5, low=0.02, high=20.0),
             ),
