@@ -415,7 +415,7 @@ class MessageId(Name):
     STATUS = 132  # Counters since the start of the board. The board sends them once per second with request = 0, and after status_read.
     LAW = 135  # The law that the board has.
     CONTROLLER = 136  # Name of a compiled controller in ASCII; zeros fill the rest.
-    PARAMS_ORIGIN = 137  # Origin of the parameters at the start, or since the last save.
+    PARAMS_ORIGIN = 137  # Where the parameters came from when the board started; after a save, what was saved.
     TELEMETRY = 133  # Samples of consecutive ticks, as differences; the section Telemetry batch gives the layout.
     EVENT = 134  # An event with its reason.
 
@@ -1149,7 +1149,7 @@ class ControllerMessage(Message):
 
 @dataclass(frozen=True, slots=True)
 class ParamsOriginMessage(Message):
-    """Origin of the parameters at the start, or since the last save."""
+    """Where the parameters came from when the board started; after a save, what was saved."""
 
     ID: ClassVar[MessageId] = MessageId.PARAMS_ORIGIN
     STRUCT: ClassVar[struct.Struct] = struct.Struct("<BBIBBIII")

@@ -1359,7 +1359,7 @@ struct ControllerMessage {
   }
 };
 
-// Origin of the parameters at the start, or since the last save.
+// Where the parameters came from when the board started; after a save, what was saved.
 struct ParamsOriginMessage {
   static constexpr MessageId kId = MessageId::params_origin;
   static constexpr std::size_t kSize = 20;
