@@ -159,7 +159,7 @@ class Effect:
     Parameters
     ----------
     name : str
-        Name of the effect, with its axis or rotor if it has one, as in ``coulomb_friction.travel``.
+        Name of the effect, followed by its axis or rotor if any, as in ``coulomb_friction.travel``.
     parameters : tuple of Quantity
         Parameters that the effect adds to those of the rig. Their names begin with `prefix`.
     values : Mapping[str, float]

@@ -405,8 +405,8 @@ def steady_pitch_deg(
     """Estimate the pitch at which travel does not accelerate, and the pitch that equal voltages hold, which
     drive pitch after a lag; each with its standard deviation [deg], and with the sign of the column.
 
-    A wrong zero moves both alike. A torque about travel moves only the first one, and unequal rotors only the
-    second one. The second one is uncertain if the body has no pendulum.
+    A wrong zero moves both angles alike. A torque about travel moves only the angle that travel shows, and
+    unequal rotors only the angle that the voltages hold, which is uncertain if the body has no pendulum.
     """
     pitch = signals.filtered[assignment.columns["pitch"]]
     difference = filtered_signal(sum_and_difference(signals, assignment)[1]).value
