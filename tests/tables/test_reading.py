@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -147,27 +148,27 @@ def test_cells_with_their_units(tmp_path: Path) -> None:
     assert [column.unit for column in table.columns.values()] == ["s", "deg", "V"]
 
 
-def test_one_value_per_row_with_the_name_of_its_signal(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("header", "row_of"),
+    [
+        ("time,signal,value", lambda t_s, name, value: f"{t_s},{name},{value}"),
+        # As a database exports it.
+        (
+            "name,time,field,value",
+            lambda t_s, name, value: f"heli,2024-03-07T09:59:{31.0 + t_s:.3f}Z,{name},{value}",
+        ),
+    ],
+)
+def test_one_value_per_row_with_the_name_of_its_signal(
+    tmp_path: Path, header: str, row_of: Callable[[float, str, float], str]
+) -> None:
     path = tmp_path / "a.csv"
     body = [
-        f"{t},{name},{v}"
+        row_of(t, name, v)
         for t, *row in zip(T_S, X, Y, Y, strict=True)
         for name, v in zip("xyz", row, strict=True)
     ]
-    path.write_text("\n".join(["time,signal,value", *body]))
-    table = read_table(path)
-    assert_same_columns(table)
-    assert table.columns["x"].t_s == pytest.approx(T_S)
-
-
-def test_one_value_per_row_as_a_database_exports_it(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    body = [
-        f"heli,2024-03-07T09:59:{31.0 + t:.3f}Z,{name},{v}"
-        for t, *row in zip(T_S, X, Y, Y, strict=True)
-        for name, v in zip("xyz", row, strict=True)
-    ]
-    path.write_text("\n".join(["name,time,field,value", *body]))
+    path.write_text("\n".join([header, *body]))
     table = read_table(path)
     assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)

@@ -314,8 +314,8 @@ def _standing(rows: _Rows) -> Booleans:
         runs = np.array(equal_runs(t_s, angles[:, axes]), int).reshape(-1, 2)
         lengths_s = t_s[runs[:, 1] - 1] - t_s[runs[:, 0]]
         # Most runs are two rows in the air, so the long ones are chosen first.
-        for start, stop in runs[lengths_s >= shortest_s].tolist():
-            length_s = float(t_s[stop - 1] - t_s[start])
+        is_long = lengths_s >= shortest_s
+        for (start, stop), length_s in zip(runs[is_long].tolist(), lengths_s[is_long], strict=True):
             height_deg = float(np.degrees(angles[start, 0] - lowest_rad))
             is_driven = np.abs(volts[start:stop]).max() >= _OFF_SHARE * largest_V
             if not is_driven:

@@ -66,16 +66,14 @@ _MIN_NAMED_SHARE: Final = 0.5
 _MIN_SIGNAL_ROWS: Final = 10
 _MAX_SIGNALS: Final = 64
 """Fewest values of a signal, and most signals, in a table with one value per row."""
+_CLOCK_TIME: Final = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"
 _RECEIVED: Final = re.compile(
-    r"^\s*(?:(?P<arrow>\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->|\[(?P<bracket>\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\])"
-    r"\s*(?P<rest>.*)$"
+    rf"^\s*(?:(?P<arrow>{_CLOCK_TIME})\s*->|\[(?P<bracket>{_CLOCK_TIME})\])\s*(?P<rest>.*)$"
 )
 """Line of a serial monitor, with the time at which it was received, before an arrow or in brackets."""
 _CHECKSUM: Final = re.compile(r"\*[0-9A-Fa-f]{2}\s*$")
 """End of a sentence as GPS receivers send it, such as `$HELI,1.2,3.4*5A`."""
-_STAMP: Final = re.compile(
-    r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?|(?<=\[)\d+(?:\.\d+)?(?=\])|^\s*\d+(?:\.\d+)?(?=\s*[;,|\t])"
-)
+_STAMP: Final = re.compile(rf"{_CLOCK_TIME}|(?<=\[)\d+(?:\.\d+)?(?=\])|^\s*\d+(?:\.\d+)?(?=\s*[;,|\t])")
 """Time in front of the values with names, as a clock, in brackets, or as the first cell."""
 _CLOCK_COMMA: Final = re.compile(r"(?<=:\d{2}:\d{2}),(?=\d{3})")
 _TIME_CELL: Final = re.compile(r"^\s*\d+[-/.:]\d+[-/.:][-\d/.:,TZ+ ]*(?:[AaPp][Mm])?\s*$")
@@ -517,7 +515,7 @@ def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[l
     unknown_units = [""] * width
     if len(rows) > 1 and _are_units(rows[-1], rows[-2]):
         units = [_unit_in_cell(cell) for cell in rows[-1]]
-        unknown_units = [cell.strip(' "[]()') for cell in rows[-1]]
+        unknown_units = [_without_brackets(cell) for cell in rows[-1]]
         rows = rows[:-1]
     column_names = (
         [cell.strip(' "') for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
@@ -538,7 +536,7 @@ def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[l
 
 def _are_units(cells: list[str], names: list[str]) -> bool:
     """Whether the cells of a header's last row are units: many are, or, unlike `names`, they repeat."""
-    texts = [cell.strip(' "[]()') for cell in cells if cell.strip(' "')]
+    texts = [_without_brackets(cell) for cell in cells if cell.strip(' "')]
     known = sum(bool(unit_of(text)) for text in texts)
     if known >= max(1, len(cells) // 2):
         return True
@@ -569,4 +567,8 @@ def _with_row_name(path: Path, header: list[str], rows: list[str], dialect: Dial
 
 
 def _unit_in_cell(cell: str) -> str:
-    return unit_of(cell.strip().strip("[]()"))
+    return unit_of(_without_brackets(cell))
+
+
+def _without_brackets(cell: str) -> str:
+    return cell.strip(' "[]()')

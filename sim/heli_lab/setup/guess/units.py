@@ -289,13 +289,14 @@ def _voltage_unit_nats(choice: Scale, motion: MeasuredMotion, reference: Referen
         nats -= _MISSING_BIAS_NATS
     if motion.summed and motion.halved != (choice.factor != 1.0):
         nats -= _HALVED_SUM_NATS
-    if float(np.max(motion.supply_shares(choice, reference))) * reference.supply_V > MAX_VOLTAGE_V:
+    shares = motion.supply_shares(choice, reference)
+    if float(np.max(shares)) * reference.supply_V > MAX_VOLTAGE_V:
         return nats - _IMPOSSIBLE_NATS
     min_share, max_share = _PLAUSIBLE_PEAK_SHARES
     if choice.voltage not in VOLTAGE_UNITS:
         max_share = _MAX_SHARE
     # Half a percent of the rows may be outliers.
-    peak_share = float(np.quantile(motion.supply_shares(choice, reference), 0.995))
+    peak_share = float(np.quantile(shares, 0.995))
     if min_share < peak_share < max_share:
         return nats
     if peak_share >= max_share and motion.exceeds(choice, reference):
