@@ -253,7 +253,7 @@ def test_removed_term_is_the_cause_and_in_the_extended_rig(term: str) -> None:
     (share,) = cause["parameters"].values()
     assert share["value"] == pytest.approx(1.0, abs=0.02)
     assert cause["confidence"] > 0.9
-    assert "is not there" in summary(diagnosis)
+    assert "is missing" in summary(diagnosis)
     # Friction of 0 is a value of the rig's parameter; a pendulum needs an effect that removes it.
     effect_ids = {effect.name for effect in effects_of(diagnosis.rig("extended"))}
     assert effect_ids == ({f"removed.{term}"} if term.startswith("pendulum") else set())

@@ -64,7 +64,7 @@ TERMS: Final[Mapping[str, tuple[str, tuple[str, ...], str]]] = {
 _SHARE: Final = Parameter(
     "share",
     "1",
-    "share s of the term that is not there",
+    "share s of the term that is missing",
     typical=1.0,
     prior=Prior(mean=0.0, std=1.0, low=0.0, high=1.0),
     size=True,
@@ -75,7 +75,7 @@ def _spec(name: str, words: str, numbers: tuple[str, ...], equation: str) -> Eff
     return EffectSpec(
         id=name,
         effect=RemovedTerm,
-        sentence=f"{{share}} of {words} is not there",
+        sentence=f"{{share}} of {words} is missing",
         equation=equation,
         acts_on="parameters",
         stage=Stage.TORQUE,
@@ -93,7 +93,7 @@ SPECS: Final = (
     EffectSpec(
         id="removed.differential_travel",
         effect=RemovedDifferentialTravel,
-        sentence="{share} of P_18, the travel torque of the difference of the thrusts at pitch, is not there",
+        sentence="{share} of P_18, the travel torque of the difference of the thrusts at pitch, is missing",
         equation=r"P_{18}: (F_f - F_b) L_h \sin\phi \to (1 - s) (F_f - F_b) L_h \sin\phi",
         acts_on="torque.travel",
         stage=Stage.TORQUE,

@@ -115,7 +115,7 @@ def _encoder_eccentricity(axis: str) -> EffectSpec:
         effect=EncoderEccentricity,
         sentence=(
             f"the {axis} encoder has an error of {{sin_rad}} with the sine and {{cos_rad}} with the cosine, "
-            "{order} periods a revolution"
+            "periods per revolution: {order}"
         ),
         equation=r"y = q + a \sin n q + b \cos n q",
         acts_on=f"measurement.{axis}",
