@@ -1,4 +1,4 @@
 """Campaigns: many cases, killed and continued.
 
-Does not belong here: whether a diagnosis is right (`../diagnose`, `../blind`).
+Does not belong here: whether a diagnosis is right (`../diagnose`).
 """

@@ -57,6 +57,19 @@ def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
     )
 
 
+TRIED = ("rotor_lag", "input_delay", "thrust_asymmetry", "coulomb_friction.travel", "cable_spring.travel")
+
+
+def briefly_diagnose(*effects: str, **options: Any) -> Diagnosis:
+    """Diagnose flights with hidden effects; the catalogue has the effects `TRIED` only."""
+    fit, held_out = flights(*effects)
+    kinds = {id_: kind for id_, kind in catalogue().items() if id_ in TRIED}
+    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], kinds=kinds, **options)
+
+
+briefly_diagnosed = cache(briefly_diagnose)
+
+
 def test_json_has_the_promised_keys_and_units_for_every_verdict() -> None:
     for diagnosis in (diagnosed(), diagnosed("rotor_lag=0.06"), diagnosed(unlisted=True)):
         conforms(to_json(diagnosis))
@@ -103,28 +116,19 @@ def test_exhausted_refits_are_stated_with_the_verdict() -> None:
 
 
 def test_resumed_search_has_the_result_of_an_uninterrupted_one(tmp_path: Path) -> None:
-    complete = to_json(diagnosed("rotor_lag=0.06"))
-    fit, held_out = flights("rotor_lag=0.06")
+    complete = to_json(briefly_diagnosed("rotor_lag=0.06"))
     steps: list[str] = []
 
-    def interrupt_at_third_refit(step: str, share: float) -> None:
+    def interrupt_at_second_refit(step: str, share: float) -> None:
         steps.append(step)
-        if len([step for step in steps if step.startswith("trying")]) == 3:
+        if len([step for step in steps if step.startswith("trying")]) == 2:
             raise KeyboardInterrupt
 
     def run(say: Callable[[str, float], None] | None = None) -> Diagnosis:
-        return diagnose(
-            MultibodyModel(),
-            load_rig("makki2024"),
-            [fit],
-            [held_out],
-            labels=["fit", "held out"],
-            resume=tmp_path / "search",
-            say=say,
-        )
+        return briefly_diagnose("rotor_lag=0.06", resume=tmp_path / "search", say=say)
 
     with pytest.raises(KeyboardInterrupt):
-        run(interrupt_at_third_refit)
+        run(interrupt_at_second_refit)
     content = (tmp_path / "search").read_bytes()
     # An interruption while the last line is written leaves a part of it.
     (tmp_path / "search").write_bytes(content[:-200])
@@ -202,7 +206,7 @@ def test_curve_of_an_unlisted_cause_is_reported_but_not_in_the_rig(tmp_path: Pat
 def test_missing_torque_agrees_with_the_hidden_effect_without_its_equation(
     hidden: str, on: str, slope_mNm_per_deg: float
 ) -> None:
-    diagnosis = diagnosed(hidden) if hidden else diagnosed(unlisted=True)
+    diagnosis = briefly_diagnosed(hidden) if hidden else diagnosed(unlisted=True)
     (term,) = missing_terms(diagnosis)
     assert (term.what, term.unit, term.on, term.on_unit) == ("torque", "mN m", on, "deg")
     hidden_slope = slope_mNm_per_deg * np.pi / 180.0
@@ -374,22 +378,14 @@ def test_report_is_self_contained_and_states_the_cause(tmp_path: Path) -> None:
     } <= {path.name for path in tmp_path.iterdir()}
 
 
-TRIED = ("rotor_lag", "input_delay", "thrust_asymmetry", "coulomb_friction.travel")
 ROUNDING = 4e-16
 """Twice the rounding error of a double."""
-
-
-def rounding_diagnosed() -> Diagnosis:
-    """Diagnose flights with a hidden lag; the catalogue has the effects `TRIED` only."""
-    fit, held_out = flights("rotor_lag=0.06")
-    kinds = {id_: kind for id_, kind in catalogue().items() if id_ in TRIED}
-    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], kinds=kinds)
 
 
 def test_verdict_and_likelihoods_do_not_depend_on_rounding(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    plain = rounding_diagnosed()
+    plain = briefly_diagnosed("rotor_lag=0.06")
     rng, along, filtered = np.random.default_rng(5), AlongTrajectory.__call__, _kalman.filter
     rounded = 0
 
@@ -406,7 +402,7 @@ def test_verdict_and_likelihoods_do_not_depend_on_rounding(
 
     monkeypatch.setattr(AlongTrajectory, "__call__", rounds_differently)
     monkeypatch.setattr(_kalman, "filter", filters_differently)
-    other = rounding_diagnosed()
+    other = briefly_diagnose("rotor_lag=0.06")
     assert rounded > 100
     assert other.label == plain.label == "cause_found"
     assert [cause.candidate.id for cause in other.verdict.causes] == ["rotor_lag"]

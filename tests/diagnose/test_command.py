@@ -144,11 +144,12 @@ def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> 
     return result, numbers
 
 
+@pytest.mark.usefixtures("short_plans")
 def test_three_seconds_of_flight_name_no_cause_and_list_hidden_effects(terminal: Terminal) -> None:
     fit, held_out = flights("rotor_lag=0.06")
     write_csv(part(fit, 10.0, 13.0), "a.csv")
     write_csv(held_out, "b.csv")
-    ended, numbers = answered(terminal, "a.csv", "--validate", "b.csv", drawn=True)
+    ended, numbers = answered(terminal, "a.csv", "--validate", "b.csv")
     assert {"cable_spring.elevation", "thrust_fade"} <= set(numbers["undetectable"])
     assert numbers["unidentifiable"]
     # Even three seconds show the lag, which the held-out flight confirms. Nothing else may be named.

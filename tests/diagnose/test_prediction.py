@@ -293,7 +293,7 @@ def test_worse_prediction_within_its_interval_does_not_refute_a_cause(
 
 def test_nothing_is_confirmed_and_saved_without_a_held_out_flight(terminal: Terminal, tmp_path: Path) -> None:
     # Both halves of the flight show the lag clearly.
-    fit, _ = flights("rotor_lag=0.06", seconds=(34.0, 14.0))
+    fit, _ = flights("rotor_lag=0.06", seconds=(26.0, 14.0))
     write_csv(fit, tmp_path / "a.csv")
     result = terminal("diagnose", "a.csv", "--json", "a.json", "--save-rig", "a.toml")
     assert result.code == 0, result.err
