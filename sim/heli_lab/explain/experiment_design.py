@@ -11,16 +11,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
-from heli_host.board.rest_check import ANGLE_SHIFTED
 from heli_host.data.flight import Flight
 from heli_host.errors import HeliError
-from heli_host.fly.plan import Plan
-from heli_host.fly.tracking import NOT_TRACKED
 from heli_sim.errors import SimError
 from heli_sim.model.base import Model
 from heli_sim.model.effect import Stage
 from heli_sim.model.effects import EffectSpec
-from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig
 
 from heli_lab.explain.assessment import Assessment
@@ -33,7 +29,6 @@ from heli_lab.explain.verdict import undetectable_effects
 from heli_lab.fit.estimator import Estimate
 from heli_lab.fit.problem import free_parameters
 from heli_lab.fit.records import Record, prepare
-from heli_lab.simulated_board import connected, fly_and_read, set_hover, world_of
 
 _DECIMATION: Final = 2
 """The board logs every millisecond; fits of every second sample are equally good and take half the time."""
@@ -44,6 +39,14 @@ _SEED: Final = 0
 
 def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
     """Fly a plan on the simulated rig."""
+    # Board, link and simulation are 30 files, and most diagnoses propose no flight.
+    from heli_host.board.rest_check import ANGLE_SHIFTED
+    from heli_host.fly.plan import Plan
+    from heli_host.fly.tracking import NOT_TRACKED
+    from heli_sim.model.plant import Plant
+
+    from heli_lab.simulated_board import connected, fly_and_read, set_hover, world_of
+
     parameter_vector = estimate.parameter_vector
     model = parameter_vector.model
     values = parameter_vector.shared_by_name(estimate.theta)
