@@ -17,7 +17,7 @@ from tests.running.alone import NAMES
 if TYPE_CHECKING:
     from tests.repo.typed import Typed
 
-pytest_plugins = ["tests.running.order"]
+pytest_plugins = ["tests.running.order", "tests.cli.terminal"]
 
 # If the environment forbids bytecode, each worker and each of a hundred commands compiles all sources
 # again. Pytest then rewrites the asserts of all tests, too: 5 s of CPU per worker.

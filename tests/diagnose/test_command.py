@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from heli_host.data.flight import Flight
 from heli_host.data.log.table import write_csv
 from heli_host.fly.plan import Plan
+from heli_lab.explain import experiment_design
 from heli_sim.model.effects import catalogue
 from heli_sim.rig import load_rig, write_rig
 
@@ -142,6 +144,22 @@ def answered(terminal: Terminal, *arguments: str | Path, drawn: bool = LONG) -> 
     assert Path("why/index.html").exists() is drawn
     conforms(numbers, silent=not numbers["flights"])
     return result, numbers
+
+
+@pytest.fixture
+def short_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a sine of a proposed flight last one period, and a pause 20 s, except in `make long`."""
+    if not LONG:
+        shorter = {
+            key: (
+                purpose,
+                re.sub(r"(period_s = )(\d+)\nduration_s = \d+", r"\1\2\nduration_s = \2", plan).replace(
+                    "duration_s = 60", "duration_s = 20"
+                ),
+            )
+            for key, (purpose, plan) in experiment_design._SEGMENTS.items()
+        }
+        monkeypatch.setattr(experiment_design, "_SEGMENTS", shorter)
 
 
 @pytest.mark.usefixtures("short_plans")

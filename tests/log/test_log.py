@@ -30,9 +30,8 @@ from mcap.writer import MCAP0_MAGIC
 
 from tests.channels.groups import SETPOINTS
 from tests.link import host_reference as reference
-from tests.log.fuzz_log import fuzz_log
+from tests.log.fuzz_log import fuzz_log, mutated
 from tests.log.made import PARAMETERS, RAD_PER_COUNT, WALL_NS, make_samples, open_writer, write_made_log
-from tests.log.mutate import mutated
 from tests.running.long import samples
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -1,4 +1,4 @@
-"""Diagnoses are read and pooled, and give a prior for another rig."""
+"""Diagnoses are read and pooled, and give a prior for another rig; further flights lower standard errors."""
 
 from __future__ import annotations
 
@@ -26,6 +26,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.cli.terminal import Terminal, terminal
+from tests.pool.flights import BY_FLIGHTS, FLIGHTS, normalised_errors, shares_of_one
+from tests.running.long import samples
 
 __all__ = [
     "terminal",
@@ -265,3 +267,18 @@ def test_what_is_no_diagnosis_is_one_line(terminal: Terminal, tmp_path: Path) ->
     result = terminal("pool", tmp_path / "none.json")
     assert result.code == 2
     assert result.err.count("\n") == 1 and "none.json" in result.err
+
+
+RIGS = range(1, 1 + samples(12, 4))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BY_FLIGHTS)
+def test_the_standard_error_falls_with_the_root_of_the_number_of_flights(name: str) -> None:
+    assert 0.8 < float(np.mean(shares_of_one(name, RIGS))) < 1.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, FLIGHTS])
+def test_flights_hold_the_truth_within_two_standard_errors(count: int) -> None:
+    assert np.mean(np.abs(normalised_errors(count, RIGS)) < 2.0) > 0.85
