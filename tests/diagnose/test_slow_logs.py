@@ -21,7 +21,7 @@ from heli_lab.fit.voltage_timing import (
     with_acting_voltages,
 )
 from heli_lab.fit.windows import make_grid
-from heli_lab.watch.acting_voltages import acting_flights
+from heli_lab.watch.disturbances import acting_flights
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig

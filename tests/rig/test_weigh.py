@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from heli_benchmark.plant import mujoco_rig
-from heli_sim.bench.table import TEMPLATE, bench_tests_from
-from heli_sim.bench.weigh import weigh
+from heli_sim.bench import TEMPLATE, bench_tests_from, weigh
 from heli_sim.errors import RigError
 from heli_sim.rig import Rig, load_rig
 

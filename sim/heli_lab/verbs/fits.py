@@ -93,7 +93,7 @@ def identify(
     from heli_lab.report.identification_page import verdict, write_identification_report
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
-    from heli_lab.watch.acting_voltages import with_likely_advance
+    from heli_lab.watch.disturbances import with_likely_advance
     from heli_lab.watch.saved_rig import compare_rigs, comparison_json, unmeasured_sentence
 
     validation_paths = validate or []

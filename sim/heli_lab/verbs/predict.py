@@ -71,8 +71,7 @@ def predict(
     from heli_sim.model import model_named
     from heli_sim.rig import load_rig
 
-    from heli_lab.watch.acting_voltages import acting_flights
-    from heli_lab.watch.disturbances import learn_disturbances
+    from heli_lab.watch.disturbances import acting_flights, learn_disturbances
     from heli_lab.watch.forecast import draw_forecasts, errors_json, forecasts_of, horizon_errors
 
     check_result_places(json, figure=figure)

@@ -141,8 +141,8 @@ def _calibrated(
     """
     from heli_host.data.log.reader import read_flight
 
-    from heli_lab.watch.acting_voltages import acting_flights
     from heli_lab.watch.calibration import write_calibration
+    from heli_lab.watch.disturbances import acting_flights
     from heli_lab.watch.learn import learn, learn_rig
 
     bar.show("reading", 0.0)

@@ -23,8 +23,8 @@ from heli_host.link.channels import rad_per_count
 from heli_host.link.clock import TICK_S
 
 from heli_lab.errors import TwinError
-from heli_lab.watch.acting_voltages import acting_flights
 from heli_lab.watch.calibration import TwinRig, open_rig
+from heli_lab.watch.disturbances import acting_flights
 from heli_lab.watch.steps import Samples, count_rad_of, samples_of, samples_of_log, samples_of_ticks
 from heli_lab.watch.twin import Twin, TwinEvent
 from heli_lab.watch.twin_model import TwinModel

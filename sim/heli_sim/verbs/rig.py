@@ -431,8 +431,7 @@ def weigh_rig(
     from heli_host.data.files import parse_toml
     from heli_host.ui.cli.options import check_place
 
-    from heli_sim.bench.table import TEMPLATE, bench_tests_from
-    from heli_sim.bench.weigh import OFF, weigh
+    from heli_sim.bench import OFF, TEMPLATE, bench_tests_from, weigh
     from heli_sim.errors import RigError
     from heli_sim.rig import load_rig, write_rig
 

@@ -25,7 +25,7 @@ from heli_host.declaration import Axes, State
 from heli_host.fly.plan import Plan, take_off
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress
-from heli_sim.bench.weigh import SCALE_N, ThrustCurve
+from heli_sim.bench import SCALE_N, ThrustCurve
 from heli_sim.model import MultibodyModel
 from heli_sim.model.linear import trim
 from heli_sim.model.plant import Plant

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from heli_host.data.response import rms
-from heli_sim.bench.weigh import ThrustCurve
+from heli_sim.bench import ThrustCurve
 from heli_sim.model.effect import AXES
 from heli_sim.rig import Rig
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from heli_host.data.flight import Flight
-from heli_sim.bench.weigh import Line
+from heli_sim.bench import Line
 from heli_sim.model import MultibodyModel
 from heli_sim.model.base import Locked, Model
 from heli_sim.model.effect import AXES
@@ -33,7 +33,7 @@ from heli_lab.fit.records import Record, prepare
 from heli_lab.fit.shooting import solve
 
 if TYPE_CHECKING:
-    from heli_sim.bench.weigh import Line
+    from heli_sim.bench import Line
     from heli_sim.model.plant import Plant
 
 
