@@ -221,6 +221,15 @@ def test_files_of_other_programs_are_not_taken_for_ours(tmp_path: Path) -> None:
         assert not is_own_file(tmp_path / name), name
 
 
+def test_a_page_with_a_picture_in_one_long_line_is_recognised_at_once(tmp_path: Path) -> None:
+    # A search from each character of such a line, instead of its last line alone, takes many minutes.
+    page = tmp_path / "index.html"
+    write_signed(page, f"<img src='{'A' * 4_000_000}'>\n")
+    assert is_own_file(page)
+    page.write_bytes(page.read_bytes().replace(b"AB", b"AA").replace(b"src='A", b"src='B"))
+    assert not is_own_file(page)
+
+
 def test_a_full_disk_leaves_the_old_file_and_no_rest(tmp_path: Path) -> None:
     file = tmp_path / "result.json"
     write_text(file, '{"schema": 1, "a": 1}')

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shlex
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -67,13 +68,19 @@ def commands() -> list[tuple[str, list[str]]]:
     ]
 
 
+@cache
+def program() -> Any:
+    """Return the command line with all verbs, whose parsers are made once."""
+    return typer.main.get_command(app)
+
+
+@cache
 def make_targets() -> set[str]:
     return set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
 
 
 def verbs() -> dict[str, Any]:
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    return {name: command for name, command in commands.items() if not command.hidden}
+    return {name: command for name, command in program().commands.items() if not command.hidden}
 
 
 def verb_table() -> set[str]:
@@ -103,17 +110,17 @@ def test_every_verb_has_an_example(verb: str) -> None:
 @pytest.mark.parametrize(("document", "command"), commands(), ids=lambda value: str(value)[:60])
 def test_command_in_a_document_exists(document: str, command: list[str]) -> None:
     words = command[: command.index("&")] if "&" in command else command
-    program, *arguments = words
-    if program == "make":
+    name, *arguments = words
+    if name == "make":
         targets = [word for word in arguments if "=" not in word]
         assert set(targets) <= make_targets(), f"{document}: make {' '.join(targets)}"
-    elif Path(program).name == "heli-host":
+    elif Path(name).name == "heli-host":
         parse(arguments)
 
 
 def parse(arguments: list[str]) -> None:
     """Parse a command line down to its verb, without running it."""
-    command: Any = typer.main.get_command(app)
+    command = program()
     name = "heli-host"
     context = None
     while True:

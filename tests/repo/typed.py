@@ -171,7 +171,7 @@ WORK: Final = "work"
 SEGMENTS_s: Final = 20.0
 """Duration of a plan's segments, s: at 16 s the sine of the plan `identify` is refused as too short."""
 USED_s: Final = 16.0
-"""Used part of each flight that a notebook diagnoses, s: at 11 s, hidden effects are not named."""
+"""Used part of each flight that a document fits, s: at 11 s, hidden effects are not named."""
 REFITS: Final = 2
 """Refits of a search for causes: with 1 no cause is named."""
 ITERATIONS: Final = 20
@@ -186,6 +186,7 @@ def shorten(parts: Iterable[str]) -> None:
     import heli_lab.explain
     import heli_lab.explain.run
     import heli_lab.fit
+    import heli_lab.fit.records
     import scipy.optimize
     from matplotlib.figure import Figure
 
@@ -197,6 +198,7 @@ def shorten(parts: Iterable[str]) -> None:
         _wrap(heli_lab.fit.identification, "identify", _computed_once)
         _wrap(heli_lab.explain.run, "prepare", _short_record)
         _wrap(heli_lab.explain.run, "search", _small_search)
+        _wrap(heli_lab.fit.records, "prepare", _short_record)
         _wrap(scipy.optimize, "minimize", _few_iterations)
         _wrap(Figure, "savefig", _coarse_figure)
 
