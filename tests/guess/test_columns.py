@@ -15,7 +15,7 @@ from heli_host.errors import FlightDataError
 from heli_lab.setup.guess import Guess
 from heli_lab.setup.guess.columns import ColumnOptions, column_options, prepare_file
 from heli_lab.setup.guess.motion import reference_of
-from heli_lab.setup.guess.names import AXES, is_time, meaning_of
+from heli_lab.setup.guess.names import AXES, PAIR, is_time, meaning_of
 from heli_lab.setup.guess.propose import propose
 from heli_lab.setup.guess.result import NOTHING_KNOWN, read_known
 from heli_sim.rig import load_rig
@@ -149,6 +149,45 @@ def test_a_unit_in_which_the_arm_turns_over_is_not_proposed() -> None:
     guess = proposed(scaled(flight_table(), {axis: f"{axis} [rad]" for axis in AXES}, degrees))
     assert {angle.unit for angle in guess.profile.angles.values()} == {"deg"}
     assert "pitch's unit" in subjects(guess)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("axis", AXES)
+def test_a_rate_with_the_name_of_its_angle_is_doubted(axis: str) -> None:
+    table = flight_table()
+    assert f"{axis}'s column" not in subjects(proposed(table))
+    rate = np.gradient(table.columns[axis].values, table.columns["t"].values)
+    assert f"{axis}'s column" in subjects(
+        proposed(replace(table, columns={**table.columns, axis: Column(rate)}))
+    )
+
+
+@pytest.mark.medium
+def test_two_motors_with_equal_voltages_are_doubted() -> None:
+    table = flight_table()
+    assert "the voltages' columns" not in subjects(proposed(table))
+    equal = proposed(replace(table, columns={**table.columns, "back": table.columns["front"]}))
+    (doubt,) = (each for each in equal.ambiguities if each.subject == "the voltages' columns")
+    assert "equal in 100 % of the rows" in doubt.reason
+
+
+@pytest.mark.medium
+def test_a_stated_share_of_the_supply_asks_for_the_supply() -> None:
+    table = flight_table()
+    shares = scaled(table, {m: f"{m} [%]" for m in PAIR}, dict.fromkeys(PAIR, 100.0 / 5.0))
+    assert "the supply voltage" in subjects(proposed(shares))
+    assert "the supply voltage" not in subjects(proposed(table))
+
+
+@pytest.mark.medium
+def test_columns_that_names_or_units_call_voltages_are_no_setpoints() -> None:
+    table = flight_table()
+    names = {"sum [V]": "elevation", "difference [V]": "pitch"}
+    followed = {name: Column(np.roll(table.columns[axis].values, -40)) for name, axis in names.items()}
+    one_of_two = {"wp": followed["difference [V]"], "we": table.columns["front"]}
+    assert proposed(replace(table, columns={**{n: table.columns[n] for n in ("t", *AXES)}, **one_of_two}))
+    angles = {"qt" if name == "travel" else name: table.columns[name] for name in ("t", *AXES)}
+    assert columns_of(proposed(replace(table, columns={**angles, **followed})))["sum"] == "sum [V]"
 
 
 @pytest.mark.medium

@@ -63,6 +63,13 @@ def test_a_flight_that_stays_near_its_beginning_has_a_doubtful_zero() -> None:
     assert elevation_zero(replace(low, median_deg=22.0), REVERSING) == (pytest.approx(-23.5), [])
 
 
+def test_a_rest_beyond_the_tolerance_of_the_table_is_doubted() -> None:
+    for rest_deg, is_doubted in ((-25.0, False), (-23.7, False), (-23.0, True), (-27.0, True)):
+        rest = RestElevation(deg=rest_deg, median_deg=2.0, begins_lowest=True)
+        offset_deg, ambiguities = elevation_zero(rest, REVERSING)
+        assert (offset_deg, bool(ambiguities)) == (0.0, is_doubted), rest_deg
+
+
 def test_a_doubt_of_a_weakly_excited_elevation_names_the_possible_delays() -> None:
     (ambiguity,), _ = lag_ambiguities(fits(0.22, (0.06, 0.40)))
     assert ambiguity.alternative == "0.12 s later than pitch (-0.04 to 0.30 s are possible)"

@@ -41,6 +41,12 @@ from heli_lab.setup.guess.names import (
         ("Pådrag foran", "front", ""),
         ("Nick_ist", "pitch", ""),
         ("Elevationswinkel", "elevation", ""),
+        ("Steigwinkel", "elevation", ""),
+        ("elevação", "elevation", ""),
+        ("beccheggio", "pitch", ""),
+        ("verplaatsing", "travel", ""),
+        ("tensione anteriore", "front", ""),
+        ("tensão traseira", "back", ""),
         # The rest of a compound has to be a word, too.
         ("wpitch", "", ""),
     ],

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas
 import pytest
 from heli_host.data.tables import Table, read_table
 from heli_host.data.tables.table import split_unit
@@ -81,6 +83,14 @@ LINES = {
         "configsip: 0, SPIWP:0xee",
         *(f"{t:.3f};n={t};x={x};y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),
     ],
+    "received with a date": [
+        f"2024-05-06 {s} {x},{y}"
+        for s, x, y in zip(["10:58:59.900", *STAMPS], ["x", *X], ["y", *Y], strict=True)
+    ],
+    "times in letters": [f"timestamp:0h00m{t:.3f}s,x:{x},y:{y}" for t, x, y in zip(T_S, X, Y, strict=True)],
+    "times with a name": [
+        f"timestamp=2024-05-06T{s} x={x} y={y}" for s, x, y in zip(STAMPS, X, Y, strict=True)
+    ],
     "JSON": [f'{{"timestamp": {t:.3f}, "x": {x}, "y": {y}}}' for t, x, y in zip(T_S, X, Y, strict=True)],
 }
 
@@ -95,6 +105,73 @@ def test_lines_that_name_their_values_or_their_reception(kind: str, tmp_path: Pa
     if kind != "serial plotter":
         times = table.columns["timestamp"].values
         assert times[-1] - times[0] == pytest.approx(T_S[-1], abs=1e-3)
+
+
+@pytest.mark.parametrize("form", ["{{{}}}", "10:59:01.5 -> {{{}}}", "{}"])
+def test_lines_with_other_names_have_blank_cells(form: str, tmp_path: Path) -> None:
+    equals, comma = ('"{}": {}', ", ") if "{{" in form else ("{}={}", " ")
+    path = tmp_path / "a.txt"
+    lines = [
+        form.format(comma.join(equals.format(name, value) for name, value in cells.items()))
+        for t, x, y in zip(T_S, X, Y, strict=True)
+        for cells in (
+            {"t": t, "x": x, "h\u00f6he" if "{{" not in form else "h\\u00f6he": x},
+            {"t": t, "y": y},
+        )
+    ]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    table = read_table(path)
+    assert table.columns["h\u00f6he"].values[::2] == pytest.approx(X)
+    assert table.columns["y"].values[1::2] == pytest.approx(Y)
+    assert np.isnan(table.columns["y"].values[::2]).all()
+
+
+@pytest.mark.parametrize("mark", ["# ", "%", "#"])
+def test_names_in_the_last_comment(mark: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"# 3, 4, 5\n{mark}t,x,y\n{rows(',', '.')}\n")
+    assert_same_columns(read_table(path))
+
+
+def octave(path: Path, arrays: dict[str, Any]) -> None:
+    blocks = [
+        f"# name: {name}\n# type: matrix\n# rows: {values.size}\n# columns: 1\n"
+        + "\n".join(map(str, values.tolist()))
+        for name, values in arrays.items()
+    ]
+    path.write_text("# Created by Octave 8.4.0\n" + "\n\n\n".join(blocks) + "\n")
+
+
+def records(path: Path, arrays: dict[str, Any]) -> None:
+    names = list(arrays)
+    path.write_text(
+        json.dumps([dict(zip(names, row, strict=True)) for row in zip(*arrays.values(), strict=True)])
+    )
+
+
+ARRAYS: dict[str, tuple[str, Callable[[Path, dict[str, Any]], Any]]] = {
+    "npz": ("a.npz", lambda path, arrays: np.savez_compressed(path, **arrays)),
+    "npy": ("a.npy", lambda path, arrays: np.save(path, pandas.DataFrame(arrays).to_records(index=False))),
+    "Octave": ("a.mat", octave),
+    "Octave text": ("a.txt", octave),
+    "JSON records": ("a.json", records),
+    "JSON columns": (
+        "a.json",
+        lambda path, arrays: path.write_text(
+            json.dumps({name: values.tolist() for name, values in arrays.items()})
+        ),
+    ),
+    "JSON of pandas": ("a.json", lambda path, arrays: pandas.DataFrame(arrays).to_json(path)),
+}
+
+
+@pytest.mark.parametrize("kind", ARRAYS)
+def test_named_arrays(kind: str, tmp_path: Path) -> None:
+    name, write = ARRAYS[kind]
+    write(tmp_path / name, {"t": T_S, "x": X, "y": Y})
+    table = read_table(tmp_path / name)
+    names = {name.rpartition(".")[2]: name for name in table.columns}
+    assert_same_columns(table, names["x"], names["y"])
 
 
 def test_a_checksum_is_no_part_of_the_last_number(tmp_path: Path) -> None:
@@ -474,7 +551,9 @@ def test_bags_of_ros_2(storage: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.medium
-@pytest.mark.parametrize("suffix", ["mat", "parquet", "xlsx", "mcap", "csv", "docx", "db3", "bag"])
+@pytest.mark.parametrize(
+    "suffix", ["mat", "npy", "npz", "json", "parquet", "xlsx", "mcap", "csv", "docx", "db3", "bag"]
+)
 @pytest.mark.parametrize("content", [b"", b"\x00\x01\x02" * 99, b"hello\nworld\n"])
 def test_a_file_of_anything_is_refused_in_a_line(suffix: str, content: bytes, tmp_path: Path) -> None:
     path = tmp_path / f"a.{suffix}"

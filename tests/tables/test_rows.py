@@ -178,6 +178,7 @@ TEXTS: Final = {
         "s",
     ),
     "durations": ([f"0 days 00:00:{t:09.6f}" for t in T_S], "s"),
+    "letters": ([f"0h00m{t:06.3f}s" for t in T_S], "s"),
     "brackets": ([f"[2026-01-02 03:04:{t:06.3f}]" for t in T_S], "s"),
     "noon": ([f"11:59:{50 + t:06.3f} AM" if t < 10 else f"12:00:{t - 10:06.3f} PM" for t in T_S], "s"),
     "midnight": ([f"11:59:{50 + t:06.3f} PM" if t < 10 else f"12:00:{t - 10:06.3f} AM" for t in T_S], "s"),
@@ -281,6 +282,28 @@ def test_a_coarse_clock_hides_the_place_of_missing_rows(tmp_path: Path) -> None:
     rows = (np.arange(N), np.flatnonzero(kept))
     tables = [Table("a", {"t": Column(tenths[row]), "x": Column(TRAVEL_DEG[row])}) for row in rows]
     assert [timed_rows(table, "t", "s").uncertain_s for table in tables] == [0.0, pytest.approx(0.03)]
+
+
+@pytest.mark.parametrize("resumes_s", [0.0, 1.2], ids=["time lost", "right time"])
+def test_rows_of_a_clock_that_stands_still_are_counted_on(resumes_s: float) -> None:
+    times_s = T_S.copy()
+    times_s[600:720] = times_s[600]
+    times_s[720:] -= 1.2 - resumes_s
+    table = Table("x.csv", {"t": Column(times_s), "travel": Column(TRAVEL_DEG)})
+    timed = timed_rows(table, "t", "s")
+    assert timed.t_s == pytest.approx(T_S, abs=0.011)
+    assert timed.uncertain_s == pytest.approx(1.2 - resumes_s, abs=0.02)
+    assert ("stood still: 121 rows at 6 s" in timed.table.changes[0].reason) == (resumes_s == 0.0)
+
+
+@pytest.mark.parametrize("length", [1, 2, 7])
+def test_rows_that_a_coarse_clock_repeats_are_left_out(length: int, tmp_path: Path) -> None:
+    made = lines(np.floor(T_S * 5.0) / 5.0)
+    made[703 + length : 703 + length] = made[703 : 703 + length]
+    conversion = converted(tmp_path, made)
+    assert [len(flight) for flight in conversion.flights] == [N]
+    assert actions(conversion) == {"left out", "retimed"}
+    assert worst_error(conversion) < 0.05
 
 
 def test_an_arm_that_rests_on_its_table_is_no_failed_link(tmp_path: Path) -> None:

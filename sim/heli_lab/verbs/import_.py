@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from heli_host.data.files import FORCE, write_signed
+from heli_host.errors import FlightDataError
 from heli_host.ui.cli.options import JsonOption
 from heli_host.ui.cli.say import data_on_stdout, say, say_files, write_result
 from heli_host.ui.cli.verb import Verb
@@ -25,7 +26,8 @@ def import_(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...", help="Convert text, .mat, .parquet, .mcap, .bag, .xlsx or bag folders."
+            metavar="FILE...",
+            help="Convert text, .mat, .npz, .json, .parquet, .mcap, .bag, .xlsx or bag folders.",
         ),
     ],
     profile: Annotated[
@@ -228,7 +230,20 @@ def _write_flights(sources: Sequence[_Source], profile: Profile) -> dict[str, An
         conversion = convert(source.table, profile)
         flights = conversion.flights
         for number, flight in enumerate(flights, 1):
-            check_flight(flight, source.table.source)
+            try:
+                check_flight(flight, source.table.source)
+            except FlightDataError as error:
+                # The numbers are in the units of the profile, so a unit or a column is wrong.
+                used = [
+                    f"{role} from '{each.column}' in {each.unit}" for role, each in profile.angles.items()
+                ]
+                used += [
+                    f"{role} from '{each.column}' in {each.unit}" for role, each in profile.voltages.items()
+                ]
+                raise FlightDataError(
+                    f"{error.cause}; the profile takes {', '.join(used)}",
+                    "correct the column or the unit in the profile",
+                ) from error
             path = source.target.path(number if len(flights) > 1 else None)
             write_csv(source.target.with_digest(flight), path)
             say(f"{len(flight)} rows, {flight.duration_s:.1f} s at {1.0 / flight.step_s:.0f} Hz -> {path}")

@@ -135,8 +135,11 @@ _CHUNK, _CHUNK_INDEX = 0x06, 0x08
 
 
 def check_mat(path: Path) -> None:
-    """Refuse a MATLAB file at `path`, version 4 to 7.3, that unpacks to more than `MAX_BYTES`."""
+    """Refuse a file at `path`, of MATLAB 4 to 7.3 or of NumPy, that unpacks to more than `MAX_BYTES`."""
     size = path.stat().st_size
+    if path.suffix.lower() == ".npz":
+        with zipfile.ZipFile(path) as archive:
+            size = max(size, sum(member.file_size for member in archive.infolist()))
     if size > MAX_BYTES:
         raise too_large(path, f"{MAX_BYTES >> 20} MiB")
     with path.open("rb") as file:

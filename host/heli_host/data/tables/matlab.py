@@ -1,4 +1,4 @@
-"""MATLAB files: matrices in rows or columns, structures, Simulink's structures with time and time series."""
+"""Files of MATLAB, Octave and NumPy: matrices in rows or columns, structures, Simulink's time series."""
 
 from __future__ import annotations
 
@@ -24,14 +24,28 @@ _DATA: Final = ("signals", "Data", "Data_", "data", "values", "Values", "Storage
 """Fields with the data. A time series of newer releases has an empty `Data_`, and the data in `Storage_`."""
 
 
+_OCTAVE: Final = b"# Created by Octave"
+"""Begin of a file that Octave saved as text, which is its default."""
+
+
+def is_octave_text(path: Path) -> bool:
+    """Whether the file at `path` is one that Octave saved as text."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_OCTAVE)) == _OCTAVE
+    except OSError:
+        return False
+
+
 def read_mat(path: Path) -> Table:
-    """Read the MATLAB file at `path`, version 4 to 7.3."""
+    """Read the file at `path`: of MATLAB, version 4 to 7.3, Octave, or NumPy (`.npy`, `.npz`)."""
     with within_memory(path):
         return _read_signals(path)
 
 
 def _read_signals(path: Path) -> Table:
-    """Read all signals of a MATLAB file, also those in structures and time series."""
+    """Read all signals of a file, also those in structures and time series."""
+    is_numpy = path.suffix.lower() in (".npy", ".npz")
     try:
         check_mat(path)
         content = _loaded(path)
@@ -41,7 +55,8 @@ def _read_signals(path: Path) -> Table:
         raise
     except Exception as error:  # the reader raises whatever a damaged file makes it trip over
         raise FlightDataError(
-            f"{path}: not a MATLAB file, or a damaged one ({type(error).__name__})", "save it again in MATLAB"
+            f"{path}: not a file of {'NumPy' if is_numpy else 'MATLAB'}, or damaged ({type(error).__name__})",
+            "save arrays of numbers" if is_numpy else "save it again in MATLAB",
         ) from error
     columns: dict[str, Column] = {}
     numbers = 0
@@ -64,6 +79,13 @@ def _read_signals(path: Path) -> Table:
 
 def _loaded(path: Path) -> Mapping[str, Any]:
     """Load all variables; texts with accents that scipy wrote are read by scipy, because mat-io cannot."""
+    if path.suffix.lower() == ".npy":
+        return {"data": np.load(path, allow_pickle=False)}
+    if path.suffix.lower() == ".npz":
+        with np.load(path, allow_pickle=False) as arrays:
+            return dict(arrays)
+    if is_octave_text(path):
+        return _octave_variables(path.read_text(encoding="utf-8", errors="replace"))
     import matio
 
     try:
@@ -73,6 +95,21 @@ def _loaded(path: Path) -> Mapping[str, Any]:
 
         content = loadmat(path)
     return content
+
+
+def _octave_variables(text: str) -> dict[str, Floats]:
+    """Return the matrices in a text of Octave, by name; variables of other types are left out."""
+    variables: dict[str, Floats] = {}
+    for block in text.split("# name: ")[1:]:
+        lines = block.splitlines()
+        header = dict(
+            line[2:].split(": ", 1) for line in lines[1:4] if line.startswith("# ") and ": " in line
+        )
+        if header.get("type") == "matrix" and {"rows", "columns"} <= header.keys():
+            shape = int(header["rows"]), int(header["columns"])
+            numbers = " ".join(lines[4 : 4 + shape[0]]).replace("NA", "nan").split()
+            variables[lines[0].strip()] = np.array(numbers, np.float64).reshape(shape)
+    return variables
 
 
 def _with_shared_times(columns: Mapping[str, Column], timed: Column) -> dict[str, Column]:

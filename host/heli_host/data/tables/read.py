@@ -383,7 +383,7 @@ def _numbers_in_message(name: str, value: Any, depth: int) -> Iterator[tuple[str
 
 
 KINDS = (
-    ".csv .txt .tsv .dat .lvm .jsonl (.gz), .mat, .parquet, .mcap, .bag, .db3, .xlsx, "
+    ".csv .txt .tsv .dat .lvm .jsonl .json (.gz), .mat, .npy, .npz, .parquet, .mcap, .bag, .db3, .xlsx, "
     "or the folder of a ROS 2 bag"
 )
 """Kinds of files that can be read, for messages."""
@@ -391,19 +391,18 @@ KINDS = (
 
 def read_table(path: Path) -> Table:
     """Read the file at `path`, of any kind of `KINDS`, as its name says."""
+    from heli_host.data.tables.matlab import is_octave_text, read_mat
+    from heli_host.data.tables.text import read_text
+
     name = path.name.lower().removesuffix(".gz")
     if path.is_dir() or name.endswith((".bag", ".db3", ".mcap")):
         return read_bag(path)
-    if name.endswith(".mat"):
-        from heli_host.data.tables.matlab import read_mat
-
+    if name.endswith((".mat", ".npy", ".npz")):
         return read_mat(path)
     if name.endswith((".parquet", ".pq")):
         return read_parquet(path)
     if name.endswith(".xlsx"):
         return read_excel(path)
-    if name.endswith((".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".lvm", ".jsonl")):
-        from heli_host.data.tables.text import read_text
-
-        return read_text(path)
+    if name.endswith((".csv", ".txt", ".tsv", ".dat", ".log", ".asc", ".lvm", ".jsonl", ".json")):
+        return read_mat(path) if is_octave_text(path) else read_text(path)
     raise FlightDataError(f"{path}: this kind of file cannot be imported", f"give {KINDS}")

@@ -49,6 +49,10 @@ _COPY_SHARE: Final = 0.9
 """Share of the rows with a repeated time that equal the row before, from which they are copies of it."""
 _MIN_HIDDEN_ROWS: Final = 2.0
 """Rows by which a step of a coarse clock must be short for rows to be missing; one less is rounding."""
+_STALL_ROWS: Final = 10
+_STALL_SHARE: Final = 4.0
+"""Fewest rows with one time, and their number as a multiple of what 95 % of the times have, from which on the
+clock stood still. The steps of a coarse clock differ by a row."""
 _MAX_UNREAD: Final = 0.03
 """Largest share of rows with an unreadable cell that count as damaged; slower signals leave more blank."""
 _SPIKE_STEPS: Final = 8.0
@@ -384,8 +388,9 @@ def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str
     values = [table.columns[name].values for name in others]
     matrix = np.column_stack(values) if others else np.zeros((times.size, 1))
     keep = np.ones(times.size, bool)
-    counts = {"twice": 0, "copies": 0, "rivals": 0, "merged": 0, "coarse": 0}
+    counts = {"twice": 0, "copies": 0, "rivals": 0, "merged": 0, "stalled": 0, "coarse": 0}
     first_rival, uncertain_s, notes = 0.0, 0.0, []
+    stalls: list[str] = []
     retimed: list[Floats] = []
     seen: list[tuple[Floats, Floats]] = []
     for start, stop in itertools.pairwise([0, *cuts, times.size]):
@@ -404,7 +409,11 @@ def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str
             first_rival = first_rival or float(segment[used][int(np.argmax(conflicts))])
             used[np.flatnonzero(used)[conflicts]] = False
         keep[start:stop] = used
-        even, shared, note = _counted_on(segment[used], unit_s)
+        running, stalled, lost, stall = _without_stalls(segment[used], unit_s)
+        uncertain_s = max(uncertain_s, lost * unit_s)
+        counts["stalled"] += stalled
+        stalls += [stall] if stall else []
+        even, shared, note = _counted_on(running, unit_s)
         uncertain_s = max(uncertain_s, _hidden_s(segment[used]) * unit_s)
         counts["copies"] += int(is_copy.sum())
         counts["merged"] += int(is_merged.sum())
@@ -414,9 +423,10 @@ def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str
         retimed.append(even)
     reasons = {
         "twice": ("left out", "of a recording that the file contains twice"),
-        "copies": ("left out", f"that repeat the row before, with the same '{column}'"),
+        "copies": ("left out", f"that repeat rows before them, with the same '{column}'"),
         "rivals": ("left out", f"that contradict another with the same '{column}' (first: {first_rival:g})"),
         "merged": ("merged", f"into the row with the same '{column}', whose blank cells they fill"),
+        "stalled": ("retimed", f"after '{column}' stood still: {'; '.join(stalls)}"),
         "coarse": (
             "retimed",
             f"that repeat the time of the row before, because '{column}' is coarse: {'; '.join(notes)}",
@@ -478,7 +488,33 @@ def _copies(times: Floats, part: Floats) -> Booleans:
     pairs = pairs if pairs.any() else same_time
     if float(equal[pairs].mean()) >= _COPY_SHARE:
         is_copy[1:] = equal & same_time
-    return is_copy
+        return is_copy
+    # Where all rows nearby differ, rows do not repeat by chance.
+    exceptions = equal & same_time & (near >= 2 * _NEAR_ROWS - 2)
+    if exceptions.mean() < _MAX_CONFLICTS:
+        is_copy[1:] = exceptions
+    return is_copy | _repeated_blocks(times, part)
+
+
+def _repeated_blocks(times: Floats, part: Floats) -> Booleans:
+    """Mark blocks of rows that follow their originals within one step of a coarse clock."""
+    result = np.zeros(times.size, bool)
+    starts = np.flatnonzero(np.diff(times, prepend=-np.inf) != 0.0)
+    sizes = np.diff(np.append(starts, times.size))
+    # A block makes its step longer than the others by at least its own length.
+    excess = sizes - np.median(sizes)
+    for tick in np.flatnonzero(excess >= _MIN_HIDDEN_ROWS).tolist():
+        start, stop = int(starts[tick]), int(starts[tick] + sizes[tick])
+        rows = part[start:stop]
+        for length in range(2, int(excess[tick]) + 2):
+            equal = (rows[length:] == rows[:-length]).all(axis=1)
+            blocks = [block for block in runs_of(equal) if block[1] - block[0] >= length]
+            distinct = [first for first, _ in blocks if np.ptp(rows[first : first + length], axis=0).any()]
+            if distinct:
+                first = start + distinct[0] + length
+                result[first : first + length] = True
+                break
+    return result
 
 
 def _conflicts(times: Floats) -> Booleans:
@@ -498,6 +534,32 @@ def _conflicts(times: Floats) -> Booleans:
         if near.size and typical > 0.0 and (np.abs(near - typical) < 0.3 * typical).all():
             result[row : row + 2] = True
     return result
+
+
+def _without_stalls(times: Floats, unit_s: float) -> tuple[Floats, int, float, str]:
+    """Count on where a clock stands still for many rows, and goes on as if they had taken no time.
+
+    Returns the times, the number of rows that moved, the longest time that the clock lost, and what happened.
+    """
+    starts = np.flatnonzero(np.diff(times, prepend=-np.inf) != 0.0)
+    if starts.size < _MIN_TIMES:
+        return times, 0, 0.0, ""
+    sizes = np.diff(np.append(starts, times.size))
+    typical_rows = float(np.median(sizes))
+    step = float(np.median(np.diff(times[starts]))) / typical_rows
+    longest = max(_STALL_ROWS, _STALL_SHARE * float(np.quantile(sizes, 0.95)))
+    result, moved, lost, texts = times.copy(), 0, 0.0, []
+    for tick in np.flatnonzero(sizes[:-1] > longest).tolist():
+        start, stop = int(starts[tick]), int(starts[tick + 1])
+        # A clock that goes on with the right time has lost nothing.
+        missing = (stop - start) * step - float(times[stop] - times[start])
+        if missing < 0.5 * (stop - start) * step:
+            continue
+        result[start:stop] += step * np.arange(stop - start)
+        result[stop:] += missing
+        moved, lost = moved or times.size - start, max(lost, missing)
+        texts.append(f"{stop - start} rows at {times[start] * unit_s:.6g} s, counted on at their usual rate")
+    return result, moved, lost, ", ".join(texts)
 
 
 def _counted_on(times: Floats, unit_s: float) -> tuple[Floats, int, str]:

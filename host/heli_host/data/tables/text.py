@@ -6,12 +6,15 @@ import csv
 import gzip
 import io
 import itertools
+import json
 import re
 import statistics
 import zlib
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -55,22 +58,29 @@ _GROUPED: Final = r"^[-+]?\d{1,3}(?:([,.])\d{3})(?:\1\d{3})+$"
 _COMMA_NUMBER: Final = r"^[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?$"
 _LABELLED: Final = r"^([^\d+\-.]*)([-+]?\d[\d,.']*(?:[eE][-+]?\d+)?)([^\d]*)$"
 _NAMED_VALUE: Final = re.compile(
-    r"\"?(?P<name>[^\W\d][\w°./()\[\] -]*?)\"?\s*[:=]\s*"
-    r"(?P<value>[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d+)?|nan)"
+    r"(?<!\d)\"?(?P<name>[^\W\d][\w°./()\[\] -]*?)\"?\s*[:=]\s*"
+    r"(?P<value>(?:\d{4}-\d{2}-\d{2}[T ])?\d{1,3}(?::\d{2}){1,2}(?:\.\d+)?"
+    r"|(?:\d+h)?\d+m[\d.]+s|[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d+)?|nan)"
     r"(?:\s?(?P<unit>[A-Za-z°%µ/]{1,8})(?=\s*(?:[,;|\t]|$)))?"
 )
-"""Value with its name before it, as in `pitch:1.25` or `Front = 3.1 V`."""
+"""Value with its name before it, as in `pitch:1.25`, `Front = 3.1 V` or `time=10:02:03.5`."""
 _MIN_NAMED: Final = 3
 _MIN_NAMED_SHARE: Final = 0.5
 """Fewest values with names in a line, and smallest share of the lines with the same names."""
+_MIN_NAMES_SHARE: Final = 0.05
+"""Share of the lines with the same names from which they are complete: signals have several rates, or come in
+lines of their own. Damage changes the names of a line at random."""
 _MIN_SIGNAL_ROWS: Final = 10
 _MAX_SIGNALS: Final = 64
 """Fewest values of a signal, and most signals, in a table with one value per row."""
 _CLOCK_TIME: Final = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"
+_DATE_TIME: Final = rf"(?:\d{{4}}-\d{{2}}-\d{{2}}[T ])?{_CLOCK_TIME}"
 _RECEIVED: Final = re.compile(
-    rf"^\s*(?:(?P<arrow>{_CLOCK_TIME})\s*->|\[(?P<bracket>{_CLOCK_TIME})\])\s*(?P<rest>.*)$"
+    rf"^\s*(?:(?P<arrow>{_DATE_TIME})\s*->|\[(?P<bracket>{_DATE_TIME})\](?!\s*[,;])"
+    rf"|(?P<bare>{_DATE_TIME}) +(?![AaPp]\.?[Mm])(?=[^ ,;\t]+[,;\t]))\s*(?P<rest>.*)$"
 )
-"""Line of a serial monitor, with the time at which it was received, before an arrow or in brackets."""
+"""Line of a serial monitor, with the time at which it was received: before an arrow, in brackets, or before
+the first cell of a row with another separator."""
 _CHECKSUM: Final = re.compile(r"\*[0-9A-Fa-f]{2}\s*$")
 """End of a sentence as GPS receivers send it, such as `$HELI,1.2,3.4*5A`."""
 _STAMP: Final = re.compile(rf"{_CLOCK_TIME}|(?<=\[)\d+(?:\.\d+)?(?=\])|^\s*\d+(?:\.\d+)?(?=\s*[;,|\t])")
@@ -127,6 +137,7 @@ def read_text(path: Path) -> Table:
             f"{path}: the file has no row of numbers",
             "give a table with one row per sample, separated by , ; or tabs",
         )
+    header = header or _commented_header(lines, rows, dialect)
     if dialect.separator == ",":
         rows = _with_points_in_clocks(rows, len(_split_cells(header[-1], dialect)) if header else 0)
     rows, width, changes = _whole_rows(rows, header, dialect)
@@ -189,42 +200,123 @@ def _without_reception_times(lines: list[str]) -> tuple[list[str], list[str]]:
         return lines, []
     matches = [_RECEIVED.match(line) for line in lines]
     rests = [match["rest"] if match else line for line, match in zip(lines, matches, strict=True)]
-    return rests, [(match["arrow"] or match["bracket"]) if match else "" for match in matches]
+    return rests, [
+        (match["arrow"] or match["bracket"] or match["bare"]) if match else "" for match in matches
+    ]
 
 
 def _without_names_in_rows(lines: list[str]) -> list[str]:
-    """Turn lines that name each value, such as `pitch:1.2,travel:0.5`, into a header and rows with tabs.
+    """Turn lines that name each value, such as `pitch:1.2,travel:0.5` or JSON, into a header and rows with
+    tabs.
 
-    A line with other names than most lines is damaged, and becomes a row with one cell.
+    Lines may name different signals, and have blank cells for the others. A line with names that few lines
+    have is damaged, and becomes a row with one cell.
     """
     sampled = [_names_in_row(line) for line in lines[:: max(1, len(lines) // _LOOKED_AT)]]
-    names = statistics.mode(sampled)
-    if len(names) < _MIN_NAMED or sampled.count(names) < _MIN_NAMED_SHARE * len(sampled):
+    shares = {names: sampled.count(names) / len(sampled) for names in set(sampled) - {()}}
+    if not shares or max(map(len, shares)) < _MIN_NAMED or sum(shares.values()) < _MIN_NAMED_SHARE:
         return lines
-    matches = [list(_NAMED_VALUE.finditer(line)) for line in lines]
-    names_of_lines = [_names_in_row(line) for line in lines]
-    typical = matches[names_of_lines.index(names)]
-    units = [f" [{match['unit']}]" if match["unit"] else "" for match in typical]
-    prefixes = [line[: row[0].start()] if row else line for line, row in zip(lines, matches, strict=True)]
-    stamps = [_STAMP.search(prefix) for prefix in prefixes]
+    named = [_named_values(line) for line in lines]
+    names_of_lines = [tuple(name for name, _, _ in values) for values in named]
+    counts = Counter(names_of_lines)
+    usual = [names for names in counts if names and counts[names] >= _MIN_NAMES_SHARE * len(lines)]
+    if sum(counts[names] for names in usual) < _MIN_NAMED_SHARE * len(lines):
+        return lines
+    # The longest list of names shows the order of the columns best.
+    order = list(dict.fromkeys(itertools.chain(*sorted(usual, key=len, reverse=True))))
+    units = {name: unit for values in named for name, _, unit in values if unit}
+    starts = [_start_of_names(line) for line in lines]
+    stamps = [_STAMP.search(line[:start]) for line, start in zip(lines, starts, strict=True)]
     has_stamps = sum(stamp is not None for stamp in stamps) > _LABEL_SHARE * len(lines)
-    header = [name + unit for name, unit in zip(names, units, strict=True)]
+    header = [f"{name} [{units[name]}]" if name in units else name for name in order]
     # What a board prints at its start is above the header.
-    start = names_of_lines.index(names)
+    start = next(index for index, names in enumerate(names_of_lines) if names in usual)
     rows = [*lines[:start], "\t".join([*header, _STAMP_NAME] if has_stamps else header)]
-    for line, row, line_names, stamp in list(zip(lines, matches, names_of_lines, stamps, strict=True))[
-        start:
-    ]:
-        cells = [match["value"].replace(",", ".") for match in row]
+    for line, values, names, stamp in list(zip(lines, named, names_of_lines, stamps, strict=True))[start:]:
+        if names not in usual:
+            rows.append(line.replace("\t", " "))
+            continue
+        cells = {name: value for name, value, _ in values}
+        # A blank cell at the end would count as the separator of a line end.
+        row = [cells.get(name, "") or "nan" for name in order]
         if has_stamps:
-            cells.append(stamp.group().replace(",", ".") if stamp else "")
-        rows.append("\t".join(cells) if line_names == names else line.replace("\t", " "))
+            row.append(stamp.group().replace(",", ".") if stamp else "")
+        rows.append("\t".join(row))
     return rows
+
+
+def _named_values(line: str) -> list[tuple[str, str, str]]:
+    """Return the values of a line with their names: name, value and unit of each."""
+    if (record := _record_in(line)) is not None:
+        return [(name, " ".join(value.split()), "") for name, value in _flat(record)]
+    values: list[tuple[str, str, str]] = []
+    for match in _NAMED_VALUE.finditer(line):
+        name = match["name"].strip()
+        while any(name == other for other, _, _ in values):
+            name += "'"
+        values.append((name, match["value"].replace(",", "."), match["unit"] or ""))
+    return values
+
+
+def _start_of_names(line: str) -> int:
+    """Return where the named values of a line begin; its end if it has none."""
+    match = _NAMED_VALUE.search(line)
+    brace = line.find("{")
+    return brace if brace >= 0 else match.start() if match else len(line)
+
+
+def _json_lines(text: str) -> list[str]:
+    """Return one line per record of a JSON file: a list of objects, or an object with a list per column;
+    empty if it is another file, such as JSON lines.
+    """
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError):
+        return []
+    if isinstance(content, dict):
+        # pandas writes each column as an object with a value per row.
+        columns = {
+            key: list(value.values()) if isinstance(value, dict) else value for key, value in content.items()
+        }
+        lists = {key: value for key, value in columns.items() if isinstance(value, list)}
+        longest = max(lists.values(), key=len, default=[])
+        if longest and not isinstance(longest[0], dict):
+            names = [key for key, value in lists.items() if len(value) == len(longest)]
+            longest = [
+                dict(zip(names, row, strict=True)) for row in zip(*map(lists.__getitem__, names), strict=True)
+            ]
+        content = longest
+    return [json.dumps(record) for record in content] if isinstance(content, list) else []
+
+
+def _record_in(line: str) -> dict[str, Any] | None:
+    """Return the JSON object that ends a line, maybe behind a time; None if there is none."""
+    brace, end = line.find("{"), line.rfind("}") + 1
+    # In a list that was cut off, a line may end with a comma.
+    if brace < 0 or line[end:].strip() not in ("", ",", "]"):
+        return None
+    try:
+        record = json.loads(line[brace:end])
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) else None
+
+
+def _flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the values of a JSON object as text, with names such as ``pose.x`` and ``angles[0]``."""
+    for key, value in record.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, dict):
+            yield from _flat(value, f"{name}.")
+        elif isinstance(value, list):
+            yield from _flat({f"{name}[{index}]": element for index, element in enumerate(value)})
+        else:
+            yield name, "" if value is None else str(float(value) if isinstance(value, bool) else value)
 
 
 def _names_in_row(line: str) -> tuple[str, ...]:
     """Return the names in front of the values of a line."""
-    return tuple(match["name"].strip() for match in _NAMED_VALUE.finditer(line))
+    return tuple(name for name, _, _ in _named_values(line))
 
 
 def _whole_rows(
@@ -269,6 +361,22 @@ def _whole_rows(
             )
         )
     return [row for row, whole in zip(rows, is_whole.tolist(), strict=True) if whole], width, changes
+
+
+def _commented_header(lines: list[str], rows: list[str], dialect: Dialect) -> list[str]:
+    """Return the names that a comment above the rows states, as numpy's savetxt and rostopic write them.
+
+    Such a comment has one name for each cell of the rows. The last one is the nearest to the rows.
+    """
+    width = statistics.mode(_cell_count(row, dialect) for row in rows[:_LOOKED_AT])
+    comments = itertools.takewhile(lambda line: line != rows[0], lines)
+    for line in reversed([line for line in comments if line.strip().startswith(_COMMENTS)]):
+        text = line.strip().strip('"').lstrip("#%/ ")
+        cells = _split_cells(text, dialect)
+        is_header = all(cell.strip() and not _is_value(cell, dialect) for cell in cells)
+        if len(cells) == width and is_header and width > 2:
+            return [text]
+    return []
 
 
 def _with_points_in_clocks(rows: list[str], width: int) -> list[str]:
@@ -408,8 +516,10 @@ def _number_share(row: list[str], dialect: Dialect) -> float:
 
 
 def _read_lines(path: Path) -> list[str]:
-    """Return the lines of a file; a FlightDataError if one is too long."""
-    lines = _decode_file(path).splitlines()
+    """Return the lines of a file, one per record for JSON; a FlightDataError if one is too long."""
+    text = _decode_file(path)
+    is_json = path.name.lower().removesuffix(".gz").endswith(".json")
+    lines = (_json_lines(text) if is_json else None) or text.splitlines()
     if max(map(len, lines), default=0) > _MAX_LINE_CHARACTERS:
         raise FlightDataError(
             f"{path}: a line has more than {_MAX_LINE_CHARACTERS} characters", "give one row per line"

@@ -80,6 +80,9 @@ _FEEDBACK_NATS: Final = 4.0
 gives such a sum, and its motion then shows no cause. Below `DECISIVE_NATS`: such a column stays in doubt."""
 _ROLE_LAGS_S: Final = (0.0, 0.06, 0.12, 0.2)
 """Lags that are compared while columns are assigned to roles [s]."""
+_EQUAL_SHARE: Final = 0.95
+"""Share of the rows in which both motors have the same voltage, from which on one column is a copy. A board's
+limits make voltages equal in some rows; a controller of pitch in few."""
 _EXCITED_NATS: Final = 5.0 * DECISIVE_NATS
 """Evidence of elevation and pitch above which travel has to follow pitch, too [nats]."""
 _FOLLOWING_LAGS_S: Final = (0.1, 0.2, 0.4, 0.6, 0.9, 1.3)
@@ -215,12 +218,13 @@ class ColumnOptions:
         )
 
 
-def two_angles_only(source: str, angles: Mapping[str, str]) -> FlightDataError:
-    """Describe a table with two angles, `angles` by axis."""
+def two_angles_only(source: str, angles: Mapping[str, str], tried: str = "") -> FlightDataError:
+    """Describe a table with two angles, `angles` by axis; the column `tried` does not move like the third."""
     (missing,) = (axis for axis in AXES if axis not in angles)
     columns = " and ".join(f"{axis} ({column})" for axis, column in angles.items())
+    but = f", because '{tried}' does not move like {missing}" if tried else ""
     return FlightDataError(
-        f"{source}: the only angles are {columns}, so this is not a log of a rig with three axes",
+        f"{source}: the only angles are {columns}{but}, so this is not a log of a rig with three axes",
         f"add a column with {missing}; a rig with two axes needs another model than those of heli-host",
     )
 
@@ -244,7 +248,8 @@ def check_third_angle(
     # Travel follows pitch, so a wrong column for pitch moves neither with the voltages nor with travel.
     axes = ("pitch", "travel") if unstated == ["pitch"] else unstated
     if min(regressions[axis].log_likelihood_ratio for axis in axes) < DECISIVE_NATS:
-        raise two_angles_only(source, {axis: best.columns[axis] for axis in AXES if axis not in unstated})
+        angles = {axis: best.columns[axis] for axis in AXES if axis not in unstated}
+        raise two_angles_only(source, angles, best.columns[unstated[0]])
 
 
 def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> ColumnOptions:
@@ -597,8 +602,13 @@ def column_ambiguities(
 
 def _names_state_voltages(best: Assignment, table: Table) -> bool:
     """Whether names or units state that both columns of the voltages are voltages, of whichever motor."""
+    return all(_names_state_voltage(name, table) for name in best.voltages)
+
+
+def _names_state_voltage(name: str, table: Table) -> bool:
+    """Whether the name or the unit of a column states that it is a voltage, of whichever motor."""
     meanings = meanings_of({name: column.unit for name, column in table.columns.items()})
-    return all(set(meanings[name].possible_roles) <= set(VOLTAGE_ROLES) for name in best.voltages)
+    return set(meanings[name].possible_roles) <= set(VOLTAGE_ROLES)
 
 
 def _contradictions(
@@ -645,18 +655,44 @@ def check_voltages(
         return []
     followed = [
         f"{axis} follows {column}"
-        for axis, column in zip(("elevation", "pitch"), best.voltages, strict=True)
-        if best.summed and all(_is_followed(file.signals, column, best.columns[axis]) for file in files)
+        for axis, column, role in zip(("elevation", "pitch"), best.voltages, SUMS, strict=True)
+        # A name or a unit states that a column is a voltage, whatever an axis seems to follow.
+        if best.summed
+        and role not in options.stated
+        and not _names_state_voltage(column, files[0].table)
+        and all(_is_followed(file.signals, column, best.columns[axis]) for file in files)
     ]
     nats = max(regressions[axis].log_likelihood_ratio for axis in ("elevation", "pitch"))
     columns = " and ".join(best.voltages)
-    if followed:
+    # Under feedback, pitch may resemble the difference that drives it; setpoints are those of both axes.
+    if len(followed) > 1:
         reason = f"{' and '.join(followed)}, as an axis follows its setpoint"
     elif nats < DECISIVE_NATS:
         reason = f"{columns} explain only {nats:.1f} nats"
     else:
         return _doubtful_sum(regressions["elevation"], best, options)
     raise FlightDataError(f"{source}: no two columns act like motor voltages ({reason})", _FIX)
+
+
+def equal_voltages(best: Assignment, files: Sequence[PreparedFile]) -> list[Ambiguity]:
+    """Report the columns of two motors that are equal in nearly all rows: one of them is a copy."""
+    shares = []
+    for file in files:
+        first, second = (file.table.columns[name].values for name in best.voltages)
+        is_known = np.isfinite(first) & np.isfinite(second)
+        is_driven = is_known & ((first != 0.0) | (second != 0.0))
+        shares.append(float(np.mean((first == second)[is_driven])) if is_driven.any() else 0.0)
+    if best.summed or min(shares) < _EQUAL_SHARE:
+        return []
+    return [
+        Ambiguity(
+            "the voltages' columns",
+            " and ".join(best.voltages),
+            "another column for one of the motors",
+            f"both columns are equal in {100.0 * min(shares):.0f} % of the rows, and equal voltages cannot "
+            "control pitch; look up which column is the other motor",
+        )
+    ]
 
 
 def _is_followed(signals: Signals, column: str, axis: str) -> bool:

@@ -66,6 +66,9 @@ _ROTOR_LAG_CUTOFF_Hz: Final = 5.0
 four simulated flights, 5 Hz separates flights with and without a lag by 12 nats; 3 Hz by 5."""
 _ROTOR_LAGS_s: Final = (0.05, 0.07, 0.1, 0.15)
 """Time constants of rotors that this test compares with rotors without a lag [s]."""
+_MIN_PITCH_ZERO_DEG: Final = 1.0
+"""Smallest error of the pitch zero that is in doubt [deg]. Simulated flights show it within 0.6 deg, by
+travel and by the voltages that hold it."""
 _TYPICAL_LAG_s: Final = 0.1
 """Lag of an ordinary rotor, for the message how late or early the voltages are [s]."""
 
@@ -88,6 +91,7 @@ class Reference:
     reverses: bool = False  # Whether a rotor gives thrust at reversed voltage
     travel_rad_s2: tuple[float, float] = (0.0, 0.0)
     """Constant acceleration of travel at level pitch, and its standard deviation; 0 if the rig has none."""
+    pitch_zero_deg: float = 3.0  # Error of the pitch zero that the rig file allows [deg]
     level_pitch_deg: tuple[float, float] = (0.0, 0.0)
     """Pitch at which travel is steady, and its standard deviation by the tolerance of the torque."""
 
@@ -132,6 +136,7 @@ def reference_of(rig: Rig) -> Reference:
         supply_V=rig["supply"].value,
         reverses=rig["reverse_thrust"].value != 0.0,
         travel_rad_s2=(per_torque * torque.value, std_rad_s2) if per_torque else (0.0, 0.0),
+        pitch_zero_deg=max(_MIN_PITCH_ZERO_DEG, rig["offset_pitch"].tolerance),
         level_pitch_deg=(-torque_deg * torque.value, abs(torque_deg) * 0.5 * torque.tolerance),
     )
 
@@ -326,6 +331,38 @@ def _fit_at_best_lag(
         fit.lag_s for fit in fits if best.log_likelihood_ratio - fit.log_likelihood_ratio < DECISIVE_NATS
     ]
     return replace(best, lag_range_s=(min(possible_s), max(possible_s)))
+
+
+def rate_nats(
+    signals: Signals,
+    assignment: Assignment,
+    reference: Reference,
+    limits: tuple[float, float] = NO_LIMITS,
+) -> dict[str, float]:
+    """Compare, by axis, a column that is the rate of its axis with one that is the angle [nats].
+
+    The cause of an axis drives the second derivative of its angle, and the first one of its rate. Simulated
+    and measured flights have -8 and less for angles, and 6 and more for rates.
+    """
+    total, difference = sum_and_difference(signals, assignment, 0.0, limits)
+    causes = {"elevation": total, "pitch": difference, "travel": signals.raw[assignment.columns["pitch"]]}
+    result = {}
+    for axis, cause in causes.items():
+        column, filtered = assignment.columns[axis], filtered_signal(cause).value
+        stiffness = reference.stiffness.get(axis, (0.0, 0.1))
+        rate = signals.filtered[column]
+        angle = np.cumsum(rate.value) * SAMPLE_STEP_s
+        # No torque depends on the travel angle.
+        deflection = angle * 0.0 if axis == "travel" else angle - angle.mean()
+        as_rate = max(
+            _ridge_regression(
+                rate.rate, (deflection, rate.value), delay(filtered, lag_s), stiffness, signals.inner
+            ).log_likelihood_ratio
+            for lag_s in np.arange(*_LAGS_S)
+        )
+        as_angle = _fit_at_best_lag(signals, column, axis, filtered, reference).log_likelihood_ratio
+        result[axis] = as_rate - as_angle
+    return result
 
 
 def _responds_without_lag(lag_s: float) -> bool:

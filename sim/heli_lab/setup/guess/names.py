@@ -24,24 +24,29 @@ _WORDS: Final = {
     "elevation": (
         *("elevation", "elev", "theta", "epsilon", "eps", "el", "e"),
         *("elevasjon", "hoyde", "hoydevinkel", "elevacion", "altura", "高度", "升降"),
-        *("hohe", "hohen", "hohenwinkel", "hoehe", "hoehen", "hoehenwinkel"),
+        *("hohe", "hohen", "hohenwinkel", "hoehe", "hoehen", "hoehenwinkel", "steigwinkel"),
+        *("elevazione", "elevacao", "elevatie"),
     ),
     "pitch": (
         *("pitch", "phi", "rho", "p", "tilt", "pit"),
         *("helling", "stigning", "nick", "nicken", "nickwinkel", "neigung", "tangage", "cabeceo", "俯仰"),
+        *("beccheggio", "arfagem"),
     ),
     "travel": (
         *("travel", "trav", "psi", "lambda", "lam", "lamda", "yaw", "azimuth", "heading", "tr"),
         *("vandring", "dreh", "drehwinkel", "gier", "gieren", "gierwinkel", "azimut", "schwenk"),
         *("schwenkwinkel", "lacet", "rotation", "giro", "desplazamiento", "deplacement", "旋转", "巡航"),
+        *("spostamento", "deslocamento", "verplaatsing"),
     ),
     "front": (
         *("front", "vf", "uf", "uv", "forward", "fwd", "mf", "f"),
         *("foran", "fremme", "vorne", "vorn", "vorderer", "avant", "delantero", "前"),
+        *("anteriore", "frontal", "dianteiro", "dianteira", "voor"),
     ),
     "back": (
         *("back", "rear", "vb", "ub", "uh", "aft", "mb", "b"),
         *("bak", "bakre", "hinten", "hinterer", "heck", "arriere", "trasero", "后"),
+        *("posteriore", "traseiro", "traseira", "achter"),
     ),
     "sum": ("sum", "vs", "us", "collective", "coll", "total", "vsum", "summe", "somme", "suma"),
     "difference": (
@@ -49,8 +54,8 @@ _WORDS: Final = {
         *("differanse", "differenz", "diferencia"),
     ),
 }
-"""Words for each role, without accents: English, Greek letters, Norwegian, German, French, Spanish and
-Chinese. In German, vorne and hinten are abbreviated to v and h."""
+"""Words for each role, without accents: English, Greek letters, Norwegian, German, French, Spanish, Italian,
+Portuguese, Dutch and Chinese. In German, vorne and hinten are abbreviated to v and h."""
 _OTHER_QUANTITIES: Final = {
     "a setpoint": (
         *("ref", "reference", "setpoint", "set", "sp", "des", "desired", "cmd", "command", "target", "goal"),
@@ -131,7 +136,18 @@ _MEASURED: Final = frozenset(
 _VOLTAGES: Final = frozenset(
     {
         *("u", "v", "m", "motor", "volt", "voltage", "input", "pwm", "duty"),
-        *("spannung", "spenning", "tension", "voltaje", "tastgrad", "padrag", "stellgrosse"),
+        *(
+            "spannung",
+            "spenning",
+            "spanning",
+            "tension",
+            "tensione",
+            "tensao",
+            "voltaje",
+            "tastgrad",
+            "padrag",
+            "stellgrosse",
+        ),
     }
 )
 """Words of the voltage of a motor that is not named, as in ``u1`` or ``motor_2``."""
@@ -142,7 +158,20 @@ _HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle", "
 """Words of half a sum, or half a difference, of two voltages."""
 _TIMES: Final = frozenset(
     {
-        *("t", "time", "times", "timestamp", "stamp", "tid", "zeit", "temps", "tiempo", "tempo", "时间"),
+        *(
+            "t",
+            "time",
+            "times",
+            "timestamp",
+            "stamp",
+            "tid",
+            "zeit",
+            "temps",
+            "tiempo",
+            "tempo",
+            "tijd",
+            "时间",
+        ),
         *("millis", "micros", "clock", "tout", "seconds", "elapsed", "zeitstempel", "uhrzeit", "tidspunkt"),
     }
 )

@@ -20,6 +20,7 @@ from heli_lab.setup.guess.columns import (
     check_voltages,
     column_ambiguities,
     column_options,
+    equal_voltages,
     prepare_file,
     ranked_assignments,
     with_directions,
@@ -32,6 +33,7 @@ from heli_lab.setup.guess.motion import (
     feedback_sign,
     lag_ambiguities,
     pooled_fits,
+    rate_nats,
     reference_of,
     steady_pitch_deg,
     sum_and_difference,
@@ -242,6 +244,7 @@ def propose(
     ambiguities += sign_ambiguities(
         regressions, signs, assignment, states_motors, mirrored, _torque_text(torque_nats, mirrored, rig)
     )
+    ambiguities += flights.rates() + equal_voltages(assignment, files)
     # Zero of the elevation, from the rest on the table, and delays between columns.
     offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
     timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
@@ -308,9 +311,10 @@ def _common_clock(files: Sequence[PreparedFile]) -> tuple[Clock, list[Ambiguity]
         return clock, [
             Ambiguity(
                 "the time",
-                f"{clock.column}, with rows spread evenly within each of its steps",
+                f"{clock.column}, with rows spread evenly where it repeats a time",
                 f"times up to {uncertain_s:.2f} s earlier or later",
-                "the clock does not show where rows are missing; log a clock with more digits",
+                "the clock does not show where rows are missing, or how long it stood still; log a clock "
+                "with more digits",
             )
         ]
     other = clock.alternative or "something else"
@@ -367,6 +371,25 @@ class _FlightsInUnits:
         ]
         return pooled_fits(by_file)
 
+    def rates(self) -> list[Ambiguity]:
+        """Report each column that moves like the rate of its axis, although it counts as the angle."""
+        by_file = [
+            rate_nats(file.signals, self.assignment, self.reference, self.limits) for file in self.files
+        ]
+        nats = {axis: float(sum(each[axis] for each in by_file)) for axis in AXES}
+        # The rate of pitch does not drive travel, so that nothing is known of travel.
+        axes = [axis for axis in AXES if axis != "travel" or nats["pitch"] <= DECISIVE_NATS]
+        return [
+            Ambiguity(
+                f"{axis}'s column",
+                f"{self.assignment.columns[axis]}, as the angle",
+                f"{self.assignment.columns[axis]} is the rate, and the angle is another column",
+                f"the motion is {nats[axis]:.0f} nats for the rate; look up which column is the angle",
+            )
+            for axis in axes
+            if nats[axis] > DECISIVE_NATS
+        ]
+
     def feedback(self) -> float:
         """Add up the signs of elevation's feedback over the files: each counts -1, 0 or 1; see
         `feedback_sign`.
@@ -420,7 +443,8 @@ class _FlightsInUnits:
         error_deg = min(errors_deg, key=abs)
         if held_std_deg < _KNOWN_BALANCE_DEG:
             # The voltages show the zero, too: if they contradict travel, the torque differs, not the zero.
-            tolerance_deg = _PITCH_TOLERANCE_DEG
+            tolerance_deg = self.reference.pitch_zero_deg
+            level_std_deg = max(level_std_deg, held_std_deg)
             error_deg = min(errors_deg, key=lambda error_deg: abs(error_deg - held_deg))
             error_deg = min(error_deg, held_deg, key=abs) if error_deg * held_deg > 0.0 else 0.0
         if not abs(error_deg) > tolerance_deg + 2.0 * level_std_deg:
@@ -428,8 +452,8 @@ class _FlightsInUnits:
         return [
             Ambiguity(
                 "pitch's zero",
-                f"0 as it is, with travel steady at {level_deg:.0f} deg of pitch",
-                f"{-error_deg:.0f} deg to add",
+                f"0 as it is, with travel steady at {level_deg:.1f} deg of pitch",
+                f"{-error_deg:.1f} deg to add",
                 f"the rig file's torque makes it steady at {abs(expected_deg):.0f} deg at most, so it or the "
                 "zero differs; measure the pitch with a level body",
             )

@@ -18,6 +18,9 @@ reports an ambiguity. Set by judgement, checked with 200 distorted flights."""
 
 _ENTRIES: Final = {
     "the columns": "elevation.column",
+    "elevation's column": "elevation.column",
+    "pitch's column": "pitch.column",
+    "travel's column": "travel.column",
     "the sum's column": "sum.column",
     "the voltages' columns": "front.column",
     "the rig": "",
@@ -30,6 +33,7 @@ _ENTRIES: Final = {
     "pitch's unit": "pitch.unit",
     "travel's unit": "travel.unit",
     "the voltages' unit": "voltages.unit",
+    "the supply voltage": "voltages.supply_V",
     "the scale of elevation": "elevation.unit",
     "the scale of pitch": "pitch.unit",
     "the scale of travel": "travel.unit",

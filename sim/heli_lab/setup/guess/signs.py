@@ -170,7 +170,8 @@ def sign_ambiguities(
             "as proposed",
             "the opposite",
             f"its cause explains only {regressions[axis].log_likelihood_ratio:.1f} nats of its motion; "
-            "log a flight that excites this axis more",
+            f"'{assignment.columns[axis]}' may be a setpoint instead of the angle; otherwise log a flight "
+            "that excites this axis more",
         )
         for axis in AXES
         if regressions[axis].log_likelihood_ratio < DECISIVE_NATS

@@ -82,6 +82,9 @@ REST_TOLERANCE_DEG: Final = 4.0
 """Largest difference between elevation at rest and the rig file's table angle, in addition to its tolerance
 [deg]. Measured flights rest at -30.0 and -30.4 deg. Rest and level differ by 25 deg, so any value between 2
 and 10 distinguishes them."""
+_ZERO_DEG: Final = 0.5
+"""Difference beyond the tolerance of the rig file's table angle from which on the zero is in doubt [deg]:
+programs log angles in tenths of a degree or finer."""
 _STILL_deg: Final = 0.5
 """Largest range of the elevation at rest [deg]: five counts of an encoder with 4096 per turn."""
 _MIN_RISE_deg: Final = 5.0
@@ -483,7 +486,19 @@ def _supply_ambiguities(
                 "look up the value at rest",
             )
         )
-    if best.voltage in SHARES and not motion.stated_units["voltage"] and not reference.supply_column:
+    if best.voltage not in SHARES or reference.supply_column:
+        return ambiguities
+    if motion.stated_units["voltage"]:
+        # The gains differ too much from rig to rig to show a supply of 11 instead of 12 V.
+        ambiguities.append(
+            Ambiguity(
+                "the supply voltage",
+                f"{reference.supply_V:g} V, as in the rig file",
+                "another supply",
+                "a share of the supply does not show it; measure the supply and set supply_V",
+            )
+        )
+    else:
         in_volts = max((each.log_likelihood for each in possible if each.voltage == "V"), default=-math.inf)
         or_volts = ", or V" if best.log_likelihood - in_volts < 2.0 * DECISIVE_NATS else ""
         ambiguities.append(
@@ -604,6 +619,17 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
         ]
     zero_at_level = abs(rest.deg - table_deg) < tolerance_deg
     zero_at_rest = abs(rest.deg) < tolerance_deg
+    differs = abs(rest.deg - table_deg) > _ZERO_DEG + reference.rest_tolerance_deg
+    if rest.begins_lowest and zero_at_level and not zero_at_rest and differs:
+        return 0.0, [
+            Ambiguity(
+                "the elevation's zero",
+                f"as it is, at rest {rest.deg:.1f} deg",
+                f"{table_deg - rest.deg:.1f} deg to add, so that it rests at {table_deg:g} deg",
+                f"the rig file states the table at {table_deg:g} ± {reference.rest_tolerance_deg:g} deg; "
+                "measure the angle at rest",
+            )
+        ]
     if rest.begins_lowest and zero_at_level != zero_at_rest:
         return (0.0 if zero_at_level else table_deg - rest.deg), []
     at_rest = f"{table_deg - rest.deg:.1f} deg to add, so that it rests at {table_deg:g} deg"
