@@ -219,21 +219,21 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
     named = [_named_values(line) for line in lines]
     names_of_lines = [tuple(name for name, _, _ in values) for values in named]
     counts = Counter(names_of_lines)
-    usual = [names for names in counts if names and counts[names] >= _MIN_NAMES_SHARE * len(lines)]
-    if sum(counts[names] for names in usual) < _MIN_NAMED_SHARE * len(lines):
+    complete = [names for names in counts if names and counts[names] >= _MIN_NAMES_SHARE * len(lines)]
+    if sum(counts[names] for names in complete) < _MIN_NAMED_SHARE * len(lines):
         return lines
     # The longest list of names shows the order of the columns best.
-    order = list(dict.fromkeys(itertools.chain(*sorted(usual, key=len, reverse=True))))
+    order = list(dict.fromkeys(itertools.chain(*sorted(complete, key=len, reverse=True))))
     units = {name: unit for values in named for name, _, unit in values if unit}
     starts = [_start_of_names(line) for line in lines]
     stamps = [_STAMP.search(line[:start]) for line, start in zip(lines, starts, strict=True)]
     has_stamps = sum(stamp is not None for stamp in stamps) > _LABEL_SHARE * len(lines)
     header = [f"{name} [{units[name]}]" if name in units else name for name in order]
     # What a board prints at its start is above the header.
-    start = next(index for index, names in enumerate(names_of_lines) if names in usual)
+    start = next(index for index, names in enumerate(names_of_lines) if names in complete)
     rows = [*lines[:start], "\t".join([*header, _STAMP_NAME] if has_stamps else header)]
     for line, values, names, stamp in list(zip(lines, named, names_of_lines, stamps, strict=True))[start:]:
-        if names not in usual:
+        if names not in complete:
             rows.append(line.replace("\t", " "))
             continue
         cells = {name: value for name, value, _ in values}
