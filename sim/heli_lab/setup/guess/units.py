@@ -254,15 +254,27 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
             continue
         hover_std = 0.0 if bias_removed else _deviation_std(mean_V, reference.hover_V, _HOVER_STD)
         voltage_nats = _voltage_unit_nats(choice, motion, reference) - 0.5 * hover_std**2
+        # A file has a thousand combinations for each of a few units: each unit's deviation is computed once.
+        by_rad = {
+            axis: {
+                rad: _gain_deviation(motion.gain[axis] * rad / volts, axis, reference)
+                for rad in {angles.rad[axis] for angles in angle_choices}
+            }
+            for axis in ("elevation", "pitch")
+        }
         for angles in angle_choices:
-            deviation_std = _gain_deviations(angles.rad, volts, motion, reference)
-            nats = voltage_nats - 0.5 * sum(deviation**2 for deviation in deviation_std.values())
+            deviation_std = {
+                "hover": hover_std,
+                "elevation": by_rad["elevation"][angles.rad["elevation"]],
+                "pitch": by_rad["pitch"][angles.rad["pitch"]],
+                "travel": angles.travel_std,
+            }
+            nats = voltage_nats - 0.5 * sum(deviation_std[axis] ** 2 for axis in AXES)
             ranked.append(
-                replace(
-                    choice,
-                    angles=angles.units,
+                Scale(
+                    *(angles.units, unit, full_scale, factor, bias_removed),
                     log_likelihood=nats + angles.nats,
-                    deviation_std={"hover": hover_std, **deviation_std},
+                    deviation_std=deviation_std,
                 )
             )
     return sorted(ranked, key=lambda scale: -scale.log_likelihood)
@@ -274,12 +286,15 @@ class _AngleChoice(NamedTuple):
     units: Mapping[str, str]  # By axis
     rad: Mapping[str, float]  # Radians per unit of each column, by axis
     nats: float  # Log-likelihood by names, quantisation and range
+    travel_std: float  # Deviation of travel's gain, which is per unit of pitch, in standard deviations
 
 
 def _angle_choice(units: Mapping[str, str], motion: MeasuredMotion, reference: Reference) -> _AngleChoice:
     rad = _rad_per_unit(units, reference)
     nats = sum(_angle_unit_nats(units, rad[axis], axis, motion, reference) for axis in AXES)
-    return _AngleChoice(units, rad, nats - _IMPOSSIBLE_NATS * _turns_over(rad, motion))
+    gain = motion.gain["travel"] * rad["travel"] / rad["pitch"]
+    travel_std = _gain_deviation(gain, "travel", reference)
+    return _AngleChoice(units, rad, nats - _IMPOSSIBLE_NATS * _turns_over(rad, motion), travel_std)
 
 
 def _voltage_unit_nats(choice: Scale, motion: MeasuredMotion, reference: Reference) -> float:
@@ -315,18 +330,9 @@ def _turns_over(rad: Mapping[str, float], motion: MeasuredMotion) -> bool:
     )
 
 
-def _gain_deviations(
-    rad: Mapping[str, float], volts: float, motion: MeasuredMotion, reference: Reference
-) -> dict[str, float]:
-    """Compare each axis' measured gain with the rig file's, in units of `rad` radians and `volts` volts;
-    return deviations in standard deviations, by axis.
-    """
-    measured = {
-        "elevation": motion.gain["elevation"] * rad["elevation"] / volts,
-        "pitch": motion.gain["pitch"] * rad["pitch"] / volts,
-        "travel": motion.gain["travel"] * rad["travel"] / rad["pitch"],
-    }
-    return {axis: _deviation_std(measured[axis], reference.gain[axis], _GAIN_STD[axis]) for axis in AXES}
+def _gain_deviation(gain: float, axis: str, reference: Reference) -> float:
+    """Compare a measured gain of an axis with the rig file's; return the deviation in standard deviations."""
+    return _deviation_std(gain, reference.gain[axis], _GAIN_STD[axis])
 
 
 def _deviation_std(measured: float, reference: float, std: float) -> float:
