@@ -172,6 +172,13 @@ SPOILED: dict[str, tuple[Spoil, int, str, str, str]] = {
         "data row 1 to 5000",
         "voltages that change",
     ),
+    "equal voltages": (
+        lambda made: replace(made, back_V=made.front_V),
+        REQUEST_ERROR,
+        "front_V equals back_V",
+        "data row 1 to 5000",
+        "voltage of each motor",
+    ),
     "duties": (scaled(0.1, "front_V", "back_V"), REQUEST_ERROR, "front_V", "data row 375", "is a duty cycle"),
     "a gap": (without_rows(1000, 1200), FILE_ERROR, "t_s", "line 1002", "jumps by"),
     "not a number": (with_cell("pitch_rad", 1233, np.nan), FILE_ERROR, "pitch_rad", "line 1235", "is nan"),

@@ -87,6 +87,10 @@ LINES = {
         f"2024-05-06 {s} {x},{y}"
         for s, x, y in zip(["10:58:59.900", *STAMPS], ["x", *X], ["y", *Y], strict=True)
     ],
+    "Tera Term": [
+        f"[Mon May 06 {s} 2024] {x},{y}"
+        for s, x, y in zip(["10:58:59.900", *STAMPS], ["x", *X], ["y", *Y], strict=True)
+    ],
     "times in letters": [f"timestamp:0h00m{t:.3f}s,x:{x},y:{y}" for t, x, y in zip(T_S, X, Y, strict=True)],
     "times with a name": [
         f"timestamp=2024-05-06T{s} x={x} y={y}" for s, x, y in zip(STAMPS, X, Y, strict=True)

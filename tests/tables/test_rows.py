@@ -178,6 +178,8 @@ TEXTS: Final = {
         "s",
     ),
     "durations": ([f"0 days 00:00:{t:09.6f}" for t in T_S], "s"),
+    "month in letters": ([f"06-May-2024 10:02:{t:06.3f}" for t in T_S], "s"),
+    "Monat": ([f"06-Mär-2024 10:02:{t:06.3f}" for t in T_S], "s"),
     "letters": ([f"0h00m{t:06.3f}s" for t in T_S], "s"),
     "brackets": ([f"[2026-01-02 03:04:{t:06.3f}]" for t in T_S], "s"),
     "noon": ([f"11:59:{50 + t:06.3f} AM" if t < 10 else f"12:00:{t - 10:06.3f} PM" for t in T_S], "s"),

@@ -21,6 +21,8 @@ from heli_lab.fit import thresholds
 
 _MIN_MOTION_COUNTS: Final = 10
 """Encoder counts that an axis must span to have moved. Set by judgement: noise and drift give one or two."""
+_MIN_PITCH_RAD: Final = math.radians(5.0)
+"""Range of pitch in a flight whose pitch is controlled, rad; equal voltages cannot control it."""
 _JUMP_RAD: Final = 1.0
 """A move between two rows that no arm makes, rad: an angle that was not unwrapped jumps by 2 pi. Set by
 judgement; at 500 Hz it is 500 rad/s."""
@@ -81,6 +83,11 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
         else:
             continue
         raise IdentifyError(f"{label}: {name} is {reason} from data row 1 to {rows}", remedy)
+    if np.array_equal(flight.front_V, flight.back_V) and moved[1] * count_rad[1] > _MIN_PITCH_RAD:
+        raise IdentifyError(
+            f"{label}: front_V equals back_V from data row 1 to {rows}, although pitch moves",
+            "log the voltage of each motor",
+        )
 
 
 def refuse_duty_cycles(flight: Flight, label: str, rig: Rig) -> None:

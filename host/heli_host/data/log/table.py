@@ -246,7 +246,10 @@ def _missing_remedy(missing: str, names: tuple[str, ...]) -> str:
     close = difflib.get_close_matches(missing, names, n=1, cutoff=0.5)
     if close:
         return f"rename {close[0]!r} if that is it, and mind the unit"
-    return f"it has {', '.join(names[:8])}; a flight needs {', '.join(REQUIRED_COLUMNS)}"
+    return (
+        f"it has {', '.join(names[:8])}; a flight needs {', '.join(REQUIRED_COLUMNS)}; heli-host import "
+        "converts logs of other programs"
+    )
 
 
 def _is_number(text: str) -> bool:

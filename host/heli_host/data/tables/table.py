@@ -289,6 +289,14 @@ _HAS_DAY: Final = r"\d[-/]\d|\d\.\d+\.\d|\d{8}"
 _COMPACT: Final = r"^(\d{4})(\d{2})(\d{2})[T_\s]+(\d{2}):?(\d{2}):?"
 _DURATION: Final = re.compile(r"^(\d+) days? \+?(\d{1,2})(?=:\d{2}:)")
 """Durations as pandas writes them, such as `0 days 00:00:01.25`."""
+_MONTHS: Final = (
+    *("jan", "feb|fev|fév", "mar|mär", "apr|avr|abr", "may|mai", "jun|juin", "jul|juil", "aug|ao", "sep"),
+    *("oct|okt", "nov", "dec|dez|déc|dic"),
+)
+_MONTH: Final = re.compile(
+    r"(?i)(?<=\d[-/ .])(?:" + "|".join(f"({month})" for month in _MONTHS) + r")[^\W\d]*\.?(?=[-/ ]+\d)"
+)
+"""Months by name, as in `06-May-2024`, which MATLAB writes in the language of the computer."""
 _IN_LETTERS: Final = re.compile(r"^(?:(\d+)\s*h)?\s*(\d+)\s*m(?:in)?\s*(\d+(?:\.\d+)?)\s*s(?:ec)?$")
 """Times such as `0h01m02.5s`."""
 _MIN_CLOCK_SHARE: Final = 0.8
@@ -304,6 +312,7 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
     text = cells.astype(str).str.strip().str.strip("[](){}<>'\"")
     text = text.str.replace(r"^[A-Za-z]+\s*[=:]\s*", "", regex=True).str.replace(",", ".")
     text = text.str.replace(_DURATION, _hours, regex=True)
+    text = text.str.replace(_MONTH, lambda match: f"{match.lastindex:02d}", regex=True)
     text = text.str.replace(_IN_LETTERS, lambda match: ":".join(filter(None, match.groups())), regex=True)
     samples = text.iloc[:: max(1, len(text) // 50)]
     if samples.str.match(_CLOCK).mean() >= _MIN_CLOCK_SHARE:

@@ -76,7 +76,8 @@ _MAX_SIGNALS: Final = 64
 _CLOCK_TIME: Final = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"
 _DATE_TIME: Final = rf"(?:\d{{4}}-\d{{2}}-\d{{2}}[T ])?{_CLOCK_TIME}"
 _RECEIVED: Final = re.compile(
-    rf"^\s*(?:(?P<arrow>{_DATE_TIME})\s*->|\[(?P<bracket>{_DATE_TIME})\](?!\s*[,;])"
+    rf"^\s*(?:(?P<arrow>{_DATE_TIME})\s*->"
+    rf"|\[(?:\w{{3}} \w{{3}} +\d+ )?(?P<bracket>{_DATE_TIME})(?: \d{{4}})?\](?!\s*[,;])"
     rf"|(?P<bare>{_DATE_TIME}) +(?![AaPp]\.?[Mm])(?=[^ ,;\t]+[,;\t]))\s*(?P<rest>.*)$"
 )
 """Line of a serial monitor, with the time at which it was received: before an arrow, in brackets, or before
