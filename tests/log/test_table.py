@@ -199,6 +199,13 @@ def test_travel_may_turn_many_times_in_radians(tmp_path: Path) -> None:
     read_flight(write(tmp_path / "a.csv", HEADER, *steps_of(5, 2 * np.pi / 4096)))
 
 
+def test_travel_may_turn_in_each_row_of_a_slow_log(tmp_path: Path) -> None:
+    table = [row.split(",") for row in rows(100)]
+    for number, row in enumerate(table):
+        row[5] = f"{0.03 * number + 0.002 * np.sin(0.1 * number):.6f}"
+    read_flight(write(tmp_path / "a.csv", HEADER, *map(",".join, table)))
+
+
 def test_gaps_are_taken_on_request(tmp_path: Path) -> None:
     path = write(tmp_path / "a.csv", HEADER, *rows()[:9], *rows()[12:])
     assert read_flight(path, allow_gaps=True).gaps.tolist() == [8]

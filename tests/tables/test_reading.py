@@ -83,6 +83,7 @@ LINES = {
         "configsip: 0, SPIWP:0xee",
         *(f"{t:.3f};n={t};x={x};y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),
     ],
+    "header before the times": ["x,y", *(f"[{s}] {x},{y}" for s, x, y in zip(STAMPS, X, Y, strict=True))],
     "received with a date": [
         f"2024-05-06 {s} {x},{y}"
         for s, x, y in zip(["10:58:59.900", *STAMPS], ["x", *X], ["y", *Y], strict=True)
@@ -452,6 +453,17 @@ def test_parquet_and_excel(suffix: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.medium
+@pytest.mark.parametrize("cell", ["{:.1f} ms", "{:.4f}"])
+def test_a_sheet_with_numbers_as_texts(cell: str, tmp_path: Path) -> None:
+    scale = 1e3 if "ms" in cell else 1.0
+    texts = {"t": [cell.format(scale * t) for t in T_S], "x": [f"{x}".replace(".", ",") for x in X], "y": Y}
+    pandas.DataFrame(texts).to_excel(tmp_path / "a.xlsx", index=False)
+    table = read_table(tmp_path / "a.xlsx")
+    assert_same_columns(table)
+    assert table.columns["t"].values == pytest.approx(scale * T_S)
+    assert table.columns["t"].unit == ("ms" if "ms" in cell else "")
+
+
 @pytest.mark.parametrize("suffix", ["parquet", "xlsx"])
 def test_a_slower_signal_with_blank_cells_is_a_column(suffix: str, tmp_path: Path) -> None:
     import pandas

@@ -478,6 +478,10 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
         )
 
 
+_TURNING_SHARE: Final = 0.9
+"""Share of the rows in which an angle moves in one direction, from which on its arm turns on and on."""
+
+
 def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> None:
     """Refuse angles that are probably in degrees, by their size, rate or encoder step, and voltages that are
     probably not in volts. `where` names a row of the file.
@@ -499,6 +503,9 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
     for name in (f"{axis}_rad" for axis in AXES):
         moves = np.abs(np.diff(getattr(flight, name)))
         rows = np.flatnonzero(moves > 0.0)
+        # An arm that turns on and on moves by many counts from row to row of a slow log.
+        if abs(float(np.sign(np.diff(getattr(flight, name))).mean())) > _TURNING_SHARE:
+            continue
         if rows.size >= _MIN_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:
             raise FlightDataError(
                 f"{source}: {name} moves in steps of {moves[rows].min():.4g} (the first in "

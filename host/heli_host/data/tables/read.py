@@ -191,6 +191,8 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
     """
     import pandas
 
+    from heli_host.data.tables.text import Dialect, numbers_of
+
     columns: dict[str, Column] = {}
     unread: dict[str, str] = {}
     if frame.index.name is not None or not isinstance(frame.index, pandas.RangeIndex):
@@ -205,6 +207,9 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
             if isinstance(first, str):
                 unit = unit_of(first.strip("[]() "))
             values = pandas.to_numeric(series, errors="coerce").to_numpy(np.float64)
+            if isinstance(first, str) and _number_share(values, series) <= _MIN_SHARE:
+                values, cell_unit = numbers_of(series, Dialect(";", "," if "," in first else "."))
+                unit = cell_unit or unit
             at_s = None if _number_share(values, series) > _MIN_SHARE else seconds_of(series)
             if at_s is not None:
                 values, unit = at_s, "s"

@@ -167,7 +167,7 @@ def read_text(path: Path) -> Table:
     columns: dict[str, Column] = {}
     unread: dict[str, str] = {}
     for index, name in enumerate(names):
-        values, unit = _numbers_of(frame[index], dialect)
+        values, unit = numbers_of(frame[index], dialect)
         clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
         if clock_s is not None:
             columns[name] = Column(clock_s, "s")
@@ -202,7 +202,9 @@ def _without_reception_times(lines: list[str]) -> tuple[list[str], list[str]]:
     matches = [_RECEIVED.match(line) for line in lines]
     rests = [match["rest"] if match else line for line, match in zip(lines, matches, strict=True)]
     return rests, [
-        (match["arrow"] or match["bracket"] or match["bare"]) if match else "" for match in matches
+        # The program that adds the times may have written the header before.
+        (match["arrow"] or match["bracket"] or match["bare"]) if match else _STAMP_NAME
+        for match in matches
     ]
 
 
@@ -424,7 +426,7 @@ def _signals_by_name(labels: pandas.Series, columns: dict[str, Column]) -> dict[
     return signals
 
 
-def _numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
+def numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
     """Return the numbers of a column, and a unit that its cells state.
 
     Cells may have separators of thousands, as in `1,204.5`, or all the same label and unit, as in `t=1.5 ms`.
