@@ -1,6 +1,5 @@
 """Claims about fits.
 
 Rigs with known parameters fly on the simulated board (`made.py`), and the fit must find these parameters.
-It must explain simulated flights down to the quantisation, and predict measured flights two seconds ahead,
-if the shared data is available.
+It must explain simulated flights down to the quantisation. `tests/measured` fits flights of real machines.
 """
