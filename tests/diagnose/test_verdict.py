@@ -262,10 +262,11 @@ def test_removed_term_is_the_cause_and_in_the_extended_rig(term: str) -> None:
 @pytest.mark.parametrize(
     ("value", "std", "low", "high"),
     [
-        (0.0, 0.02, 0.98, 0.99),
-        (0.04, 0.02, 0.9, 0.99),
-        (0.0, 0.5, 0.0, 0.4),
-        (0.1, 0.02, 0.0, 0.1),
+        (0.0, 0.003, 0.95, 0.99),
+        (0.0, 0.1, 0.0, 0.5),  # friction of 0.07 of its value in the rig file, in slow logs
+        (0.04, 0.02, 0.0, 0.5),
+        (0.0, 0.5, 0.0, 0.1),
+        (0.1, 0.02, 0.0, 0.01),
         (0.5, 0.05, 0.0, 0.01),
         (1.0, 0.01, 0.0, 1e-6),
     ],
@@ -273,7 +274,23 @@ def test_removed_term_is_the_cause_and_in_the_extended_rig(term: str) -> None:
 def test_term_is_absent_only_if_its_parameter_is_precisely_zero(
     value: float, std: float, low: float, high: float
 ) -> None:
-    assert low <= absence_probability(value, std) <= high
+    assert low <= absence_probability(value, std, rig_std=0.5) <= high
+
+
+def test_parameter_that_deviates_from_a_tight_rig_file_is_not_absent() -> None:
+    assert absence_probability(0.1, 0.05, rig_std=0.03) < 0.2
+
+
+def test_held_out_flights_make_a_small_friction_present() -> None:
+    rig = load_rig("makki2024")
+    friction = rig["friction_travel"].value
+    fit: Any = SimpleNamespace(
+        params={"friction_travel": 0.004 * friction}, std={"friction_travel": 0.004 * friction}, at_bound=()
+    )
+    (term,) = absent_terms(fit, rig, KINDS)
+    assert term.id == "removed.friction.travel"
+    joint = {"friction_travel": (0.02 * friction, 0.003 * friction)}
+    assert absent_terms(fit, rig, KINDS, joint) == ()
 
 
 _NO_REFIT: Any = SimpleNamespace()

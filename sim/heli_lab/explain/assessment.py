@@ -62,9 +62,19 @@ class AbsentTerm:
     """Distance of its parameter from the rig file's value in standard errors; the smallest of several."""
 
 
-def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[AbsentTerm, ...]:
+def absent_terms(
+    fit: Fit,
+    rig: Rig,
+    kinds: Mapping[str, EffectSpec],
+    on_all_flights: Mapping[str, tuple[float, float]] | None = None,
+) -> tuple[AbsentTerm, ...]:
     """Find terms whose parameters are zero within their standard errors."""
-    values, reported_std = fit.params, fit.std
+    # `on_all_flights`: Estimates with their standard errors that held-out flights have made more precise.
+    joint = on_all_flights or {}
+    values, reported_std = (
+        {**of_fit, **{name: pair[index] for name, pair in joint.items()}}
+        for index, of_fit in enumerate((fit.params, fit.std))
+    )
     terms = []
     for id_, kind in kinds.items():
         names = [name for name in kind.override if name in values and rig[name].value > 0.0]
@@ -72,9 +82,11 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[A
             continue
         # Estimates and standard errors in units of the rig file's values.
         nominal = np.array([rig[name].value for name in names])
-        relative = np.array([0.0 if name in fit.at_bound else values[name] for name in names]) / nominal
+        is_zero = [name in fit.at_bound and name not in joint for name in names]
+        relative = np.where(is_zero, 0.0, np.maximum([values[name] for name in names], 0.0)) / nominal
         relative_std = np.array([reported_std[name] for name in names]) / nominal
-        confidence = math.prod(map(absence_probability, relative.tolist(), relative_std.tolist()))
+        rig_std = [0.5 * rig[name].tolerance / rig[name].value for name in names]
+        confidence = math.prod(map(absence_probability, relative.tolist(), relative_std.tolist(), rig_std))
         if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
             continue
         std = np.maximum(relative_std, thresholds.ABSENT_MIN_STD)
@@ -91,20 +103,31 @@ def absent_terms(fit: Fit, rig: Rig, kinds: Mapping[str, EffectSpec]) -> tuple[A
     return tuple(sorted(terms, key=lambda term: -term.confidence))
 
 
-def absence_probability(value: float, std: float) -> float:
+def absence_probability(value: float, std: float, rig_std: float) -> float:
     """Return the posterior probability that a parameter is zero, by Bayes' rule."""
-    # The alternative hypothesis is a parameter that is log-normal about the rig file's value.
-    std = max(std, thresholds.ABSENT_MIN_STD)
-    # The alternative is integrated over a logarithmic grid of values.
-    present_values = np.geomspace(1e-3, 1e3, 4001)
-    prior = np.exp(-0.5 * (np.log(present_values) / thresholds.PRESENT_LOG_STD) ** 2)
-    prior /= prior.sum()
-    # The common factor of the two normal densities cancels.
-    absent_weight = math.exp(-0.5 * min((value / std) ** 2, 1e3)) * thresholds.ABSENT_PRIOR
-    present_weight = float(prior @ np.exp(-0.5 * ((value - present_values) / std) ** 2)) * (
-        1.0 - thresholds.ABSENT_PRIOR
-    )
-    return min(thresholds.MAX_CONFIDENCE, absent_weight / max(absent_weight + present_weight, 1e-300))
+    # All arguments are shares of the rig file's value; `rig_std` is the standard deviation that it states.
+    # The alternative hypothesis is the prior of the fit: a parameter that is positive, and normal about the
+    # rig file's value. If a tolerance includes zero, it includes small values too, and an estimate near zero
+    # shows an absent term only if it is precise enough to exclude most of them. Terms are as rarely absent as
+    # effects are present.
+    std, present_std = max(std, thresholds.ABSENT_MIN_STD), max(rig_std, thresholds.PRESENT_MIN_STD)
+    total_std = math.hypot(std, present_std)
+    # The density of the estimate is integrated over positive values. This gives a normal density, times the
+    # probability that the parameter is positive, given the estimate.
+    mean = (value * present_std**2 + std**2) / total_std**2
+    positive = _normal_cdf(mean * total_std / (std * present_std)) / _normal_cdf(1.0 / present_std)
+    present_nats = math.log(positive / total_std) - 0.5 * ((value - 1.0) / total_std) ** 2
+    absent_nats = -math.log(std) - 0.5 * (value / std) ** 2
+    lead_nats = absent_nats - present_nats - math.log(thresholds.CANDIDATES_TRIED)
+    return min(thresholds.MAX_CONFIDENCE, 1.0 / (1.0 + math.exp(min(-lead_nats, _MAX_NATS))))
+
+
+_MAX_NATS: Final = 700.0
+"""Largest log-likelihood ratio whose exponential is finite in double precision."""
+
+
+def _normal_cdf(value: float) -> float:
+    return 0.5 * math.erfc(-value / math.sqrt(2.0))
 
 
 class Influence(NamedTuple):
@@ -205,7 +228,9 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     extended = without_splines(comparison, search)
     before = predict(search.baseline.estimate, train, held_out)
     after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
-    absent = absent_terms(after.fit, comparison.rig, kinds)
+    # A term is absent in each flight, so held-out flights count too.
+    joint = held_out_screenings[0].estimates() if held_out_screenings else None
+    absent = absent_terms(after.fit, comparison.rig, kinds, joint)
     influence = influences(comparison, search, extended, before, after)
     spline_counts = spline_change(comparison, search, extended, after)
     negligible_changes = {
@@ -221,7 +246,7 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
         # The extended model has only the effects that matter.
         extended = without(comparison, search, extended, negligible_changes)
         after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
-        absent = absent_terms(after.fit, comparison.rig, kinds)
+        absent = absent_terms(after.fit, comparison.rig, kinds, joint)
     verdict = judge(search, residual, after, kinds, bool(absent), negligible, spline_counts)
     return Assessment(residual, extended, before, after, absent, verdict, instead)
 

@@ -49,7 +49,7 @@ from heli_lab.fit.innovations import (
     auxiliary_residuals,
     smoothed_disturbances,
 )
-from heli_lab.fit.normal_equations import solve_arrowhead
+from heli_lab.fit.normal_equations import invert_arrowhead, solve_arrowhead
 from heli_lab.threads import batches, default_thread_count, parallel_map
 
 
@@ -407,10 +407,19 @@ class Screening:
         # Normal equations of the free parameters: (parameters, parameters), and the columns of each flight.
         self._normal_equations = (innovations.information() + precision, innovations.per_flight)
         step = self._solve(innovations.score() - precision @ (estimate.theta - mean))
-        # Whitened innovations of each flight after a Gauss-Newton step of the free parameters, (m,).
+        # Estimates of the free parameters after a Gauss-Newton step, (f,).
+        self._stepped = estimate.theta + step
+        # Whitened innovations of each flight after that step, (m,).
         self._error = innovations.after(step)
         # Score of the free parameters that a prior holds back without being evidence for candidates, (f,).
         self._held_back = np.zeros_like(step) if prior is None else precision @ (estimate.theta + step - mean)
+
+    def estimates(self) -> dict[str, tuple[float, float]]:
+        """Return the most likely value of each free parameter with its standard error, given the prior."""
+        matrix, per_flight = self._normal_equations
+        std = np.sqrt(np.diag(invert_arrowhead(matrix, per_flight)))
+        numbers = zip(self._stepped.tolist(), std.tolist(), strict=True)
+        return dict(zip(self.estimate.parameter_vector.names, numbers, strict=True))
 
     def release(self) -> None:
         """Free the memory of cached signals, 0.2 GB for ten minutes of flight."""
