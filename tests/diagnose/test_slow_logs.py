@@ -12,6 +12,7 @@ import pytest
 from heli_host.data.flight import Flight
 from heli_lab.explain.assessment import with_likelier_advance
 from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.screening import Screening
 from heli_lab.fit.identification import identify
 from heli_lab.fit.records import Record, prepare
 from heli_lab.fit.voltage_timing import (
@@ -113,19 +114,20 @@ def test_the_flight_shows_whether_its_voltages_are_samples(
     logged: Callable[[Flight, int], Flight], slower: bool
 ) -> None:
     held = compared(logged(at_loop_rate(), THINNING))
-    timed = with_likelier_advance(held, held.filtering_baseline, None)
+    screenings = [Screening(held.filtering_baseline.estimate)]
+    timed = with_likelier_advance(held, screenings, None)
     assert (timed is not None) is slower
     if timed is not None:
         assert timed.train[0].advance_rows == pytest.approx(0.45, abs=0.15)
         assert timed.filtering_baseline.log_likelihood > held.filtering_baseline.log_likelihood + 10.0
     # A log at the rate of its loop has no voltages between its rows.
-    assert with_likelier_advance(held, held.filtering_baseline, 1000.0 / THINNING) is None
+    assert with_likelier_advance(held, screenings, 1000.0 / THINNING) is None
 
 
 @pytest.mark.diagnosis
 def test_a_lag_of_the_rotors_is_no_advance() -> None:
     held = compared(thinned(at_loop_rate("rotor_lag=0.08"), THINNING))
-    assert with_likelier_advance(held, held.filtering_baseline, None) is None
+    assert with_likelier_advance(held, [Screening(held.filtering_baseline.estimate)], None) is None
 
 
 @pytest.mark.diagnosis

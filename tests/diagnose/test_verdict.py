@@ -443,7 +443,10 @@ def hypothesis(*ids: str, nats: float = 0.0) -> Hypothesis:
     """A model with these causes."""
     candidates = tuple(typical_candidate(KINDS[id_]) for id_ in ids)
     return cast(
-        Hypothesis, SimpleNamespace(candidates=candidates, ids=ids, log_likelihood=nats, estimate=nats)
+        Hypothesis,
+        SimpleNamespace(
+            candidates=candidates, ids=ids, log_likelihood=nats, estimate=nats, params={}, std={}
+        ),
     )
 
 
@@ -461,7 +464,10 @@ class Scores:
     def effects(self, kinds: Any) -> list[ScoredCandidate]:
         """Candidates of typical size."""
         zeros = np.zeros(1)
-        return [ScoredCandidate(typical_candidate(kind), 0.0, zeros, zeros, 1) for kind in kinds]
+        return [
+            ScoredCandidate(typical_candidate(kind), self.gains.get(kind.id, 0.0), zeros, zeros, 1)
+            for kind in kinds
+        ]
 
     def statistics(self, candidates: Any) -> list[ScoreStatistics]:
         """Statistics whose score test has the gains."""
@@ -480,21 +486,22 @@ class Scores:
 def explained(
     monkeypatch: pytest.MonkeyPatch,
     fitted: dict[str, float],
-    held_out: dict[str, float],
-    used_s: float = 30.0,
+    held_out: dict[str, float] | None,
+    min_nats: float = 0.0,
+    nats: float = 5.0,
 ) -> Any:
     """Return the search with one more cause, or None."""
     # `fitted`, `held_out`: Gain of each effect on the fitted and on the held-out flights, nats. Gains of
     # opposite signs belong to sizes of opposite signs.
-    # `used_s`: Duration of the fitted flight.
+    # `min_nats`: Smallest score on the fitted flights.
+    # `nats`: Gain of the refit on the fitted flights, a third of that on the held-out flights.
     # The screening of the refitted model is not used.
     monkeypatch.setattr(assessment, "Screening", lambda _: Scores({}))
-    monkeypatch.setattr(assessment, "held_out_screening", lambda *_: Scores(held_out))
 
     def refit(candidates: Any, *_: object) -> Hypothesis:
-        return hypothesis(*(candidate.id for candidate in candidates), nats=5.0)
+        return hypothesis(*(candidate.id for candidate in candidates), nats=nats)
 
-    train, held_out_flight = SimpleNamespace(used_s=used_s), SimpleNamespace()
+    train, held_out_flight = SimpleNamespace(), SimpleNamespace()
     comparison = ModelComparison(*cast(Any, (None, None, [train], [held_out_flight])))
     monkeypatch.setattr(comparison, "refit", refit)
     comparison.__dict__["rows"] = 1000
@@ -503,7 +510,8 @@ def explained(
     )
     final = hypothesis("axis_tilt")
     search = Search(final, final, (), (), cast(Any, Scores(fitted)), complete=True)
-    return assessment.with_remainder(comparison, search, TRIED)
+    screenings = () if held_out is None else (Scores(held_out),)
+    return assessment.with_remainder(comparison, search, TRIED, cast(Any, screenings), min_nats)
 
 
 def test_an_effect_that_all_flights_show_together_is_a_cause_with_little_evidence(
@@ -524,6 +532,18 @@ def test_flights_that_contradict_each_other_show_no_effect(monkeypatch: pytest.M
     assert explained(monkeypatch, {DRAG: 3.0}, {DRAG: 2.0}) is None
 
 
-def test_remainder_search_skips_events_and_short_flights(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_effect_whose_refit_all_flights_hardly_need_is_no_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert explained(monkeypatch, {DRAG: 8.0}, {DRAG: 12.0}, nats=3.0) is None
+    assert explained(monkeypatch, {DRAG: 8.0}, {DRAG: 12.0}, nats=-1.0) is None
+
+
+def test_effect_that_fitted_flights_do_not_show_is_tried_for_a_remainder(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert explained(monkeypatch, {DRAG: 1.0}, {DRAG: 19.0}) is not None
+    assert explained(monkeypatch, {DRAG: 1.0}, {DRAG: 19.0}, min_nats=2.0) is None
+
+
+def test_remainder_search_skips_events_and_flights_too_short_to_test(monkeypatch: pytest.MonkeyPatch) -> None:
     assert explained(monkeypatch, {STEP: 90.0}, {STEP: 90.0}) is None
-    assert explained(monkeypatch, {DRAG: 20.0}, {DRAG: 20.0}, used_s=5.0) is None
+    assert explained(monkeypatch, {DRAG: 20.0}, None) is None

@@ -22,8 +22,8 @@ from heli_sim.rig import Rig
 
 from heli_lab.explain import thresholds
 from heli_lab.explain.candidates import ScoredCandidate, may_join
-from heli_lab.explain.comparison import Alternative, Cause, Hypothesis, ModelComparison
-from heli_lab.explain.forward import Acceptance, min_margin
+from heli_lab.explain.comparison import Alternative, Cause, Hypothesis, ModelComparison, Refit
+from heli_lab.explain.forward import Acceptance
 from heli_lab.explain.prediction import Prediction, normalised_samples, predict
 from heli_lab.explain.residuals import ResidualAnalysis, residual_analysis
 from heli_lab.explain.screening import Screening, coefficient_std, score_of
@@ -216,12 +216,14 @@ class Assessment:
     instead: Mapping[str, tuple[PriorConflict, ...]] = field(default_factory=dict)
     """By cause: parameters of the rig that predict the flights as well without it, at values that conflict
     with the rig file. Such a cause is as certain as the rig file."""
+    held_out_screenings: tuple[Screening, ...] = field(default=(), repr=False, compare=False)
+    """Scores of candidates about the final model on the held-out flights; empty if they cannot be tested."""
 
 
 def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]) -> Assessment:
     """Assess the result of a search: residuals, predictions, effects too small to matter, and the verdict."""
     train, held_out = comparison.train, comparison.held_out
-    held_out_screenings = []
+    held_out_screenings = list[Screening]()
     if comparison.can_test_held_out:
         held_out_screenings = [held_out_screening(comparison, search.final)]
     residual = residual_analysis([search.screening, *held_out_screenings])
@@ -248,7 +250,9 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
         after = before if extended is search.baseline else predict(extended.estimate, train, held_out)
         absent = absent_terms(after.fit, comparison.rig, kinds, joint)
     verdict = judge(search, residual, after, kinds, bool(absent), negligible, spline_counts)
-    return Assessment(residual, extended, before, after, absent, verdict, instead)
+    for screening in held_out_screenings:
+        screening.release()
+    return Assessment(residual, extended, before, after, absent, verdict, instead, tuple(held_out_screenings))
 
 
 def without_splines(comparison: ModelComparison, search: Search) -> Hypothesis:
@@ -298,19 +302,17 @@ def justified_thrust_noise(
 
 
 def with_likelier_advance(
-    comparison: ModelComparison, final: Hypothesis, loop_Hz: float | None
+    comparison: ModelComparison, screenings: Sequence[Screening], loop_Hz: float | None
 ) -> ModelComparison | None:
     """Return the comparison in which voltages act earlier or later within the rows of their log, if the
-    flights are much more likely so with the `final` model of a search.
+    flights are much more likely so with the final model of a search.
     """
+    # `screenings`: Those of the final model, on the fitted flights first.
     # None if they are not, if no log can be slower than the control loop, or if the model has a delay, which
     # is a negative advance.
     is_slow = any(may_be_slower(record, loop_Hz) for record in comparison.train)
-    if not is_slow or final.estimate.functions.model.source.delay:
+    if not is_slow or screenings[0].estimate.functions.model.source.delay:
         return None
-    screenings = [Screening(final.estimate)]
-    if comparison.can_test_held_out:
-        screenings.append(held_out_screening(comparison, final))
     best = estimated_advance(screenings, loop_Hz)
     for screening in screenings:
         screening.release()
@@ -362,9 +364,13 @@ def with_listed_remainder(
     tried: Mapping[str, EffectSpec],
     kinds: Mapping[str, EffectSpec],
 ) -> tuple[Search, Assessment]:
-    """Add one more listed effect to a search if it explains what would otherwise be `unexplained`."""
-    if assessment.verdict.label == "unexplained" and not assessment.verdict.unlisted:
-        wider = with_remainder(comparison, search, tried)
+    """Add one more listed effect to a search if all flights together show it."""
+    # A flight alone may show an effect too weakly: a drag of travel of 4.6 standard errors in the fitted
+    # flight and 6.7 in the held-out one was not named (seed 9193 of `tests.field.slow_logs`, 2026-11).
+    # An effect that the fitted flights do not show at all is tried only if something stays unexplained.
+    min_nats = 0.0 if assessment.verdict.label == "unexplained" else thresholds.JOINT_MIN_NATS
+    if not assessment.verdict.unlisted:
+        wider = with_remainder(comparison, search, tried, assessment.held_out_screenings, min_nats)
         if wider is not None:
             explained = assess(comparison, wider, kinds)
             if explained.verdict.label != "unexplained":
@@ -373,31 +379,42 @@ def with_listed_remainder(
 
 
 def with_remainder(
-    comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]
+    comparison: ModelComparison,
+    search: Search,
+    kinds: Mapping[str, EffectSpec],
+    held_out_screenings: Sequence[Screening],
+    min_nats: float,
 ) -> Search | None:
     """Add the listed effect that explains best what remains on all flights."""
-    if not comparison.can_test_held_out:
+    # `min_nats`: Smallest score on the fitted flights of an effect that is tried.
+    if not held_out_screenings:
         return None
     final, acceptance = search.final, Acceptance(comparison, kinds)
-    screenings = [search.screening, held_out_screening(comparison, final)]
-    ranked = _on_all_flights(screenings, acceptance, final.ids)
+    screenings = [search.screening, *held_out_screenings]
+    ranked = _on_all_flights(screenings, acceptance, search, min_nats)
     for screening in screenings:
         screening.release()
-    best = ranked[0] if ranked else None
-    if best is None or best.margin <= min_margin(best.scored.candidate.id, final.ids):
+    if not acceptance.worth_a_refit([best.scored for best in ranked[:1]]):
         return None
+    best = ranked[0]
     candidate = best.scored.candidate
     start = candidate.start_values(best.scored.coefficients)
     refit = comparison.refit([*final.candidates, candidate], start, final)
+    train = refit.log_likelihood - final.log_likelihood
     held_out = (
         comparison.held_out_estimate(refit).log_likelihood
         - comparison.held_out_estimate(final).log_likelihood
     )
+    penalty = acceptance.penalty(candidate)
+    # Each set of flights must agree, because this choice has used both.
+    on_all_flights = Refit(refit, train + held_out, penalty, best.scored.log_likelihood_gain)
+    if min(train, held_out) <= 0.0 or not acceptance.accepts(on_all_flights):
+        return None
     cause = Cause(
         next(other for other in refit.candidates if other.id == candidate.id),
-        train=refit.log_likelihood - final.log_likelihood,
+        train=train,
         held_out=held_out,
-        penalty=acceptance.penalty(candidate),
+        penalty=penalty,
         alternatives=tuple(
             Alternative(other.scored.candidate.id, best.margin - other.margin)
             for other in ranked[1 : 1 + thresholds.ALTERNATIVES]
@@ -435,16 +452,22 @@ def with_curves(
 
 
 def _on_all_flights(
-    screenings: Sequence[Screening], acceptance: Acceptance, present_ids: Sequence[str]
+    screenings: Sequence[Screening], acceptance: Acceptance, search: Search, min_nats: float
 ) -> list[_JointScore]:
     """Score listed effects that may join the causes with one coefficient for all flights, the best first."""
     # An effect at a moment is left out, because its moment belongs to one flight.
-    kinds = acceptance.kinds
-    compatible = [kind for kind in kinds.values() if may_join(kind.id, present_ids, kinds)]
+    kinds, present_ids = acceptance.kinds, search.final.ids
+    if search.rounds and search.rounds[-1].base is search.final:
+        all_scored = list(search.rounds[-1].screened)
+    else:
+        compatible = [kind for kind in kinds.values() if may_join(kind.id, present_ids, kinds)]
+        all_scored = screenings[0].effects(compatible)
     scored = [
         candidate
-        for candidate in screenings[0].effects(compatible)
-        if candidate.candidate.id not in present_ids and not candidate.candidate.effect.moment
+        for candidate in all_scored
+        if candidate.candidate.id not in present_ids
+        and not candidate.candidate.effect.moment
+        and candidate.log_likelihood_gain >= min_nats
     ]
     candidates = [candidate.candidate for candidate in scored]
     statistics = [screening.statistics(candidates) for screening in screenings]
@@ -454,5 +477,8 @@ def _on_all_flights(
         score = np.sum([of_set.score for of_set in by_screening], axis=0)
         joint = score_of(information, score, coefficient_std(candidate.candidate))
         margin = joint.log_likelihood_gain - acceptance.penalty(candidate.candidate, candidate.tried)
-        ranked.append(_JointScore(replace(candidate, coefficients=joint.coefficients), margin))
+        joint_candidate = replace(
+            candidate, coefficients=joint.coefficients, log_likelihood_gain=joint.log_likelihood_gain
+        )
+        ranked.append(_JointScore(joint_candidate, margin))
     return sorted(ranked, key=lambda joint: -joint.margin)

@@ -147,7 +147,9 @@ def diagnose(
         if loop_Hz is not None:
             comparison = comparison.with_advance(functools.partial(sampled_advance, loop_Hz=loop_Hz))
         result, assessment = _search_and_assess(comparison, tried, available, report, refits)
-        timed_comparison = with_likelier_advance(comparison, result.final, loop_Hz)
+        timed_comparison = with_likelier_advance(
+            comparison, [result.screening, *assessment.held_out_screenings], loop_Hz
+        )
         if timed_comparison is not None:
             report("repeating the search with voltages that act early", 0.5)
             timed_result, timed_assessment = _search_and_assess(

@@ -140,6 +140,10 @@ SPLINE_COEFFICIENT_WEIGHT: Final[Annotated[float, "1", JUDGEMENT]] = 0.5
 """Share of a free parameter that a spline's coefficient counts in the BIC penalty: priors and overlapping
 basis functions leave about half of them free. Lower: splines beat effects. Higher: the reverse."""
 
+JOINT_MIN_NATS: Final[Annotated[float, "nats", THEORY]] = 2.0
+"""Score on the fitted flights from which on an effect is also scored on all flights together: two standard
+errors. Lower: time, 0.2 s per diagnosis. Higher: effects are missed that each flight shows weakly."""
+
 HELD_OUT_AGAINST: Final[Annotated[float, "nats", JUDGEMENT]] = -4.0
 """Log-likelihood ratio on held-out flights below which they contradict a cause, and it is removed: 50 to 1.
 Lower: peculiarities of one flight are named. Higher: causes are lost that a weak flight hardly shows."""
