@@ -184,8 +184,6 @@ def test_columns_that_names_or_units_call_voltages_are_no_setpoints() -> None:
     table = flight_table()
     names = {"sum [V]": "elevation", "difference [V]": "pitch"}
     followed = {name: Column(np.roll(table.columns[axis].values, -40)) for name, axis in names.items()}
-    one_of_two = {"wp": followed["difference [V]"], "we": table.columns["front"]}
-    assert proposed(replace(table, columns={**{n: table.columns[n] for n in ("t", *AXES)}, **one_of_two}))
     angles = {"qt" if name == "travel" else name: table.columns[name] for name in ("t", *AXES)}
     assert columns_of(proposed(replace(table, columns={**angles, **followed})))["sum"] == "sum [V]"
 

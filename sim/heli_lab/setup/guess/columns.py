@@ -664,14 +664,17 @@ def check_voltages(
     ]
     nats = max(regressions[axis].log_likelihood_ratio for axis in ("elevation", "pitch"))
     columns = " and ".join(best.voltages)
-    # Under feedback, pitch may resemble the difference that drives it; setpoints are those of both axes.
-    if len(followed) > 1:
+    if followed:
         reason = f"{' and '.join(followed)}, as an axis follows its setpoint"
     elif nats < DECISIVE_NATS:
         reason = f"{columns} explain only {nats:.1f} nats"
     else:
         return _doubtful_sum(regressions["elevation"], best, options)
-    raise FlightDataError(f"{source}: no two columns act like motor voltages ({reason})", _FIX)
+    # Under feedback, pitch may resemble the difference that drives it, so that only the user can decide.
+    raise FlightDataError(
+        f"{source}: no two columns act like motor voltages ({reason})",
+        f"{_FIX}; if they are the voltages, state the columns in a profile",
+    )
 
 
 def equal_voltages(best: Assignment, files: Sequence[PreparedFile]) -> list[Ambiguity]:
