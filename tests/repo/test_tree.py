@@ -272,6 +272,26 @@ def test_the_same_name_in_two_modules_is_noticed(tmp_path: Path) -> None:
     assert ambiguous(tmp_path) == {"Law": {"a.py", "b.py"}}
 
 
+STATE_OF_A_MODULE = re.compile(
+    r"^\w+(?::[^=\n]+)? = (?:\{\}|\[\]|(?:dict|list|set|OrderedDict)\(\)|defaultdict\()", re.MULTILINE
+)
+"""A name of a module for a collection that is empty at first, to be filled by functions."""
+STATEFUL = {
+    "sim/heli_lab/apps/campaign/worker.py": "a worker of Dask has no object that lives between its jobs"
+}
+
+
+def test_no_module_has_a_state_of_its_own() -> None:
+    """A cache in a module keeps compiled models until Python ends; `heli-host` then printed their leaks."""
+    stateful = [
+        str(path.relative_to(ROOT))
+        for package, folder in PACKAGES.items()
+        for path in (ROOT / folder / package).rglob("*.py")
+        if STATE_OF_A_MODULE.search(path.read_text(encoding="utf-8"))
+    ]
+    assert stateful == list(STATEFUL)
+
+
 ROOMS = ("host/heli_host/ui/cli", "sim/heli_sim/verbs", "sim/heli_lab/verbs")
 SAFE = {"printable"}
 

@@ -322,7 +322,7 @@ class ChangeFunctions:
     def extended(self, name: str, effect: Effect, linear_parameters: Sequence[str]) -> ExtendedModel:
         """Return the model extended by an effect."""
         if name not in self._extended_models:
-            self._extended_models[name] = extended_model(self.model, effect, tuple(linear_parameters))
+            self._extended_models[name] = ExtendedModel(self.model, effect, linear_parameters)
         return self._extended_models[name]
 
     @cached_property
@@ -509,32 +509,6 @@ class ExtendedModel:
             Trajectory(trajectory.t_s, state, trajectory.inputs, trajectory.step_s, parameters)
         )
         return ChangeAlongTrajectory(rates, measured_rad)
-
-
-_MAX_COMPILED: Final = 512
-"""Number of extended models that are kept: those of three rounds of a search."""
-
-_compiled: dict[tuple[object, ...], tuple[tuple[Effect, ...], ExtendedModel]] = {}
-
-
-def extended_model(model: Model, effect: Effect, linear_parameters: tuple[str, ...]) -> ExtendedModel:
-    """Return a model extended by an effect, compiled once per process for the same equations."""
-    # A spline term is evaluated with the knots of the first one that was compiled: of this flight, no other.
-    if isinstance(effect, SplineTerm) or type(model).__init__ is not Model.__init__:
-        return ExtendedModel(model, effect, linear_parameters)
-    # Values are symbols in the equations: all points of an effect's grid, and all fits, share them.
-    equations = tuple(
-        replace(part, values=dict.fromkeys(part.values, 0.0), flight="", other_moments_s={})
-        for part in (*model.effects, effect)
-    )
-    key = type(model), tuple(part.name for part in equations), linear_parameters
-    compiled_equations, compiled = _compiled.get(key, (None, None))
-    if compiled is None or compiled_equations != equations:
-        if len(_compiled) >= _MAX_COMPILED:
-            _compiled.clear()
-        compiled = ExtendedModel(model, effect, linear_parameters)
-        _compiled[key] = equations, compiled
-    return compiled
 
 
 def _rows(column: ca.SX, rows: Sequence[int]) -> ca.SX:
