@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from heli_host.data.flight import Flight
-from heli_lab.watch.calibration import IDEAL, Calibration, Tail, segment_maxima
+from heli_lab.watch.calibration import DEFAULT_DISTURBANCES, Calibration, Tail, segment_maxima
 from heli_lab.watch.learn import NO_ALARM
 from heli_lab.watch.monitor import monitor_flight
 from heli_lab.watch.steps import count_rad_of, samples_of
@@ -217,7 +217,8 @@ def healthy_lines(results: Results) -> list[str]:
         alarms = 0
         chances = []  # of a false alarm in each flight
         for rig in results.values():
-            threshold_nats = max(tail.threshold_nats(interval_h) for tail in (Tail(*rig["tail"]), IDEAL))
+            calibration = Calibration(DEFAULT_DISTURBANCES, Tail(*rig["tail"]))
+            threshold_nats = calibration.threshold_nats(interval_h)
             for entry in rig["healthy"]:
                 chances.append(1.0 - math.exp(-entry["free_s"] / 3600.0 / interval_h))
                 alarms += entry["max_evidence_nats"] > threshold_nats
