@@ -501,11 +501,12 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
                 degrees[1],
             )
     for name in (f"{axis}_rad" for axis in AXES):
-        moves = np.abs(np.diff(getattr(flight, name)))
-        rows = np.flatnonzero(moves > 0.0)
+        signed_moves = np.diff(getattr(flight, name))
         # An arm that turns on and on moves by many counts from row to row of a slow log.
-        if abs(float(np.sign(np.diff(getattr(flight, name))).mean())) > _TURNING_SHARE:
+        if abs(float(np.sign(signed_moves).mean())) > _TURNING_SHARE:
             continue
+        moves = np.abs(signed_moves)
+        rows = np.flatnonzero(moves > 0.0)
         if rows.size >= _MIN_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:
             raise FlightDataError(
                 f"{source}: {name} moves in steps of {moves[rows].min():.4g} (the first in "

@@ -25,7 +25,7 @@ _DATA: Final = ("signals", "Data", "Data_", "data", "values", "Values", "Storage
 
 
 _OCTAVE: Final = b"# Created by Octave"
-"""Begin of a file that Octave saved as text, which is its default."""
+"""Beginning of a file that Octave saved as text, which is its default."""
 
 
 def is_octave_text(path: Path) -> bool:

@@ -26,7 +26,9 @@ from heli_host.data.tables.limits import (
     too_large,
     within_memory,
 )
+from heli_host.data.tables.matlab import is_octave_text, read_mat
 from heli_host.data.tables.table import Column, RowChange, Table, seconds_of, unit_of
+from heli_host.data.tables.text import Dialect, numbers_of, read_text
 from heli_host.errors import FlightDataError, install_remedy
 
 if TYPE_CHECKING:
@@ -190,8 +192,6 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
     text are left out.
     """
     import pandas
-
-    from heli_host.data.tables.text import Dialect, numbers_of
 
     columns: dict[str, Column] = {}
     unread: dict[str, str] = {}
@@ -396,9 +396,6 @@ KINDS = (
 
 def read_table(path: Path) -> Table:
     """Read the file at `path`, of any kind of `KINDS`, as its name says."""
-    from heli_host.data.tables.matlab import is_octave_text, read_mat
-    from heli_host.data.tables.text import read_text
-
     name = path.name.lower().removesuffix(".gz")
     if path.is_dir() or name.endswith((".bag", ".db3", ".mcap")):
         return read_bag(path)

@@ -499,13 +499,12 @@ def _copies(times: Floats, part: Floats) -> Booleans:
 def _repeated_blocks(times: Floats, part: Floats) -> Booleans:
     """Mark blocks of rows that follow their originals within one step of a coarse clock."""
     result = np.zeros(times.size, bool)
-    starts = np.flatnonzero(np.diff(times, prepend=-np.inf) != 0.0)
-    sizes = np.diff(np.append(starts, times.size))
+    starts, sizes = _steps_of(times)
     # A block makes its step longer than the others by at least its own length.
     excess = sizes - np.median(sizes)
     for tick in np.flatnonzero(excess >= _MIN_HIDDEN_ROWS).tolist():
-        start, stop = int(starts[tick]), int(starts[tick] + sizes[tick])
-        rows = part[start:stop]
+        start = int(starts[tick])
+        rows = part[start : start + int(sizes[tick])]
         for length in range(2, int(excess[tick]) + 2):
             equal = (rows[length:] == rows[:-length]).all(axis=1)
             blocks = [block for block in runs_of(equal) if block[1] - block[0] >= length]
@@ -536,15 +535,20 @@ def _conflicts(times: Floats) -> Booleans:
     return result
 
 
+def _steps_of(times: Floats) -> tuple[Integers, Integers]:
+    """Return the first row of each time of a coarse clock, and the number of rows that have this time."""
+    starts = np.flatnonzero(np.diff(times, prepend=-np.inf) != 0.0)
+    return starts, np.diff(np.append(starts, times.size))
+
+
 def _without_stalls(times: Floats, unit_s: float) -> tuple[Floats, int, float, str]:
     """Count on where a clock stands still for many rows, and goes on as if they had taken no time.
 
     Returns the times, the number of rows that moved, the longest time that the clock lost, and what happened.
     """
-    starts = np.flatnonzero(np.diff(times, prepend=-np.inf) != 0.0)
+    starts, sizes = _steps_of(times)
     if starts.size < _MIN_TIMES:
         return times, 0, 0.0, ""
-    sizes = np.diff(np.append(starts, times.size))
     typical_rows = float(np.median(sizes))
     step = float(np.median(np.diff(times[starts]))) / typical_rows
     longest = max(_STALL_ROWS, _STALL_SHARE * float(np.quantile(sizes, 0.95)))
@@ -569,11 +573,10 @@ def _counted_on(times: Floats, unit_s: float) -> tuple[Floats, int, str]:
     count = int(shared.sum())
     if not count or times.size < _MIN_TIMES:
         return times, 0, ""
-    starts = np.flatnonzero(~shared)
+    starts, sizes = _steps_of(times)
     ticks = times[starts]
     if ticks.size < 2:
         raise FlightDataError(f"all {times.size} rows have the same time {times[0]:g}", NO_CLOCK)
-    sizes = np.diff(np.append(starts, times.size))
     first_s = float(times[int(np.argmax(shared))]) * unit_s
     about = f"up to {int(sizes.max())} rows per time, from {first_s:.6g} s on"
     rows = np.arange(times.size, dtype=np.float64)
@@ -599,13 +602,13 @@ def _hidden_s(times: Floats) -> float:
 
     A step with fewer rows than the others has lost some, at a place that the clock does not show.
     """
-    starts = np.flatnonzero(np.diff(times, prepend=-np.inf) != 0.0)
+    starts, sizes = _steps_of(times)
     if starts.size < _MIN_TIMES:
         return 0.0
-    sizes, lengths = np.diff(starts), np.diff(times[starts])
-    # The first step may have begun before the file.
-    typical = float(np.median(sizes))
-    lost = float(np.max(typical - sizes[1:], initial=0.0))
+    # The first step may have begun before the file, and the last one goes on after it.
+    whole, lengths = sizes[:-1], np.diff(times[starts])
+    typical = float(np.median(whole))
+    lost = float(np.max(typical - whole[1:], initial=0.0))
     return lost * float(np.median(lengths)) / typical if lost >= _MIN_HIDDEN_ROWS else 0.0
 
 

@@ -216,8 +216,8 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
     have is damaged, and becomes a row with one cell.
     """
     sampled = [_names_in_row(line) for line in lines[:: max(1, len(lines) // _LOOKED_AT)]]
-    shares = {names: sampled.count(names) / len(sampled) for names in set(sampled) - {()}}
-    if not shares or max(map(len, shares)) < _MIN_NAMED or sum(shares.values()) < _MIN_NAMED_SHARE:
+    most_names = max(map(len, sampled), default=0)
+    if most_names < _MIN_NAMED or sum(map(bool, sampled)) < _MIN_NAMED_SHARE * len(sampled):
         return lines
     named = [_named_values(line) for line in lines]
     names_of_lines = [tuple(name for name, _, _ in values) for values in named]
