@@ -71,10 +71,8 @@ def absent_terms(
     """Find terms whose parameters are zero within their standard errors."""
     # `on_all_flights`: Estimates with their standard errors that held-out flights have made more precise.
     joint = on_all_flights or {}
-    values, reported_std = (
-        {**of_fit, **{name: pair[index] for name, pair in joint.items()}}
-        for index, of_fit in enumerate((fit.params, fit.std))
-    )
+    values = {**fit.params, **{name: value for name, (value, _) in joint.items()}}
+    reported_std = {**fit.std, **{name: std for name, (_, std) in joint.items()}}
     terms = []
     for id_, kind in kinds.items():
         names = [name for name in kind.override if name in values and rig[name].value > 0.0]
@@ -223,7 +221,7 @@ class Assessment:
 def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, EffectSpec]) -> Assessment:
     """Assess the result of a search: residuals, predictions, effects too small to matter, and the verdict."""
     train, held_out = comparison.train, comparison.held_out
-    held_out_screenings = list[Screening]()
+    held_out_screenings: list[Screening] = []
     if comparison.can_test_held_out:
         held_out_screenings = [held_out_screening(comparison, search.final)]
     residual = residual_analysis([search.screening, *held_out_screenings])
@@ -394,7 +392,7 @@ def with_remainder(
     ranked = _on_all_flights(screenings, acceptance, search, min_nats)
     for screening in screenings:
         screening.release()
-    if not acceptance.worth_a_refit([best.scored for best in ranked[:1]]):
+    if not ranked or not acceptance.worth_a_refit([ranked[0].scored]):
         return None
     best = ranked[0]
     candidate = best.scored.candidate

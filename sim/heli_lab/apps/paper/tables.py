@@ -33,7 +33,6 @@ from heli_lab.fit.records import Record, prepare
 from heli_lab.fit.shooting import solve
 
 if TYPE_CHECKING:
-    from heli_sim.bench import Line
     from heli_sim.model.plant import Plant
 
 

@@ -136,18 +136,8 @@ _MEASURED: Final = frozenset(
 _VOLTAGES: Final = frozenset(
     {
         *("u", "v", "m", "motor", "volt", "voltage", "input", "pwm", "duty"),
-        *(
-            "spannung",
-            "spenning",
-            "spanning",
-            "tension",
-            "tensione",
-            "tensao",
-            "voltaje",
-            "tastgrad",
-            "padrag",
-            "stellgrosse",
-        ),
+        *("spannung", "spenning", "spanning", "tension", "tensione", "tensao", "voltaje"),
+        *("tastgrad", "padrag", "stellgrosse"),
     }
 )
 """Words of the voltage of a motor that is not named, as in ``u1`` or ``motor_2``."""
@@ -158,20 +148,8 @@ _HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle", "
 """Words of half a sum, or half a difference, of two voltages."""
 _TIMES: Final = frozenset(
     {
-        *(
-            "t",
-            "time",
-            "times",
-            "timestamp",
-            "stamp",
-            "tid",
-            "zeit",
-            "temps",
-            "tiempo",
-            "tempo",
-            "tijd",
-            "时间",
-        ),
+        *("t", "time", "times", "timestamp", "stamp"),
+        *("tid", "zeit", "temps", "tiempo", "tempo", "tijd", "时间"),
         *("millis", "micros", "clock", "tout", "seconds", "elapsed", "zeitstempel", "uhrzeit", "tidspunkt"),
     }
 )

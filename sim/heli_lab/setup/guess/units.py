@@ -272,7 +272,11 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
             nats = voltage_nats - 0.5 * sum(deviation_std[axis] ** 2 for axis in AXES)
             ranked.append(
                 Scale(
-                    *(angles.units, unit, full_scale, factor, bias_removed),
+                    angles.units,
+                    unit,
+                    full_scale,
+                    factor,
+                    bias_removed,
                     log_likelihood=nats + angles.nats,
                     deviation_std=deviation_std,
                 )
