@@ -3,7 +3,7 @@
 The flight code flies a simulated rig at 1 kHz. The log keeps every second, fourth or tenth row, with the
 voltage of that row alone, as a slower logger does. A rig is healthy or has one plain cause; half of the rigs
 are in gusts, and half of the boards have rate filters that let more of the encoders' steps through to the
-motors. Seeds 9000 to 9099 are for development. Seeds 9100 to 9159 (healthy) and 9160 to 9219 (one cause)
+motors. Seeds 9000 to 9099 are for development. Seeds 9100 to 9159 and 9340 to 9399 (healthy), and 9160 to 9219 and 9400 to 9459 (one cause),
 judge.
 """
 
@@ -53,7 +53,7 @@ _FOLLOWING_deg: Final = 180.0
 _FILTERS_Hz: Final = {spec.name: spec.default for spec in PARAMS if spec.name.endswith("_filter_Hz")}
 _FILTERS: Final = (1.0, 3.0)
 """Factors of the cut-off frequencies of the board's rate filters."""
-_HEALTHY: Final = (range(9000, 9050), range(9100, 9160))
+_HEALTHY: Final = (range(9000, 9050), range(9100, 9160), range(9340, 9400))
 """Seeds without a cause; all others have one."""
 SIZE_STD: Final = 3.0
 """Standard errors by which a size may be wrong: one in 370 by chance."""
