@@ -1,11 +1,12 @@
 // The drivers of the Due: start, clock, encoders, flash, serial port, random bits, faults,
-// watchdog.
+// watchdog, tick.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 
 #include "board.hpp"
+#include "core.hpp"
 
 // Functions that the vector table contains.
 extern "C" {
@@ -136,3 +137,17 @@ void start();
 void check_in(std::uint32_t ticks);
 
 }  // namespace heli::due::watchdog
+
+// The interrupt of the control tick, every link::kTick_us.
+namespace heli::due::tick_timer {
+
+void start();
+
+// In the interrupt, first.
+void acknowledge();
+
+// In the interrupt, last: the time from when this tick was due until now. It is late if it ends
+// after the next one was due, or if ticks before it were missed.
+TickTiming timing();
+
+}  // namespace heli::due::tick_timer

@@ -7,7 +7,6 @@
 #include "due_board.hpp"
 #include "flight_code.hpp"
 #include "motors.hpp"
-#include "tick_timer.hpp"
 
 namespace heli::due {
 namespace {

@@ -4,8 +4,22 @@
 
 #include <cstdint>
 
-#include "pin.hpp"
 #include "registers.hpp"
+
+namespace heli::due {
+
+// A pin of the chip.
+struct Pin {
+  At<Pio> port;
+  unsigned number;
+  constexpr std::uint32_t mask() const { return bit(number); }
+  // Its mask if it is on this port, otherwise none.
+  constexpr std::uint32_t mask_on(At<Pio> other) const {
+    return port.address == other.address ? mask() : 0U;
+  }
+};
+
+}  // namespace heli::due
 
 namespace heli::due::pins {
 

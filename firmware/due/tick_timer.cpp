@@ -1,6 +1,4 @@
 // Two channels of timer block TC1: one makes the tick's interrupt, the other measures time.
-#include "tick_timer.hpp"
-
 #include <cstdint>
 
 #include "cortex_m3.hpp"

@@ -6,7 +6,7 @@
 #include <cstdint>
 
 #include "board.hpp"
-#include "pin.hpp"
+#include "pins.hpp"
 
 namespace heli::due::wiring {
 

@@ -177,7 +177,7 @@ def generate_header(wiring: Wiring) -> str:
             "#include <cstdint>",
             "",
             '#include "board.hpp"',
-            '#include "pin.hpp"',
+            '#include "pins.hpp"',
             "",
             "namespace heli::due::wiring {",
             "",

@@ -13,9 +13,8 @@
 #include <string>
 #include <tuple>
 
-#include "bindings.hpp"
-#include "greeting.hpp"
 #include "native_board.hpp"
+#include "sim_board.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

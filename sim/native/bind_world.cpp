@@ -1,4 +1,4 @@
-// World, plant steps and their counters for Python.
+// The Python module: world, plant steps and their counters; bind_board.cpp adds the boards.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
@@ -13,12 +13,13 @@
 #include <string>
 #include <vector>
 
-#include "bindings.hpp"
 #include "native_board.hpp"
 #include "world.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
+
+void bind_board(nb::module_& module);  // bind_board.cpp
 
 namespace {
 
@@ -115,7 +116,9 @@ nb::dict line_counters(World& world) {
 
 }  // namespace
 
-void bind_world(nb::module_& module) {
+NB_MODULE(_native, module) {
+  module.doc() = "The flight code compiled for this machine, and the world it flies in.";
+  bind_board(module);
   nb::class_<PlantStep>(module, "PlantStep", "One millisecond of the rig.");
   nb::class_<CompiledStep, PlantStep>(module, "CompiledStep",
                                       "A CasADi function in a shared library.")

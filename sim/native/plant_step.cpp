@@ -5,9 +5,35 @@
 
 #include <stdexcept>
 
-#include "shared_library.hpp"
+#if defined(_WIN32)
+#define WIN32_LEAN_AND_MEAN
+#include <windows.h>
+#else
+#include <dlfcn.h>
+#endif
 
 namespace heli_sim {
+
+namespace {
+
+// The system's own calls behind one name each.
+#if defined(_WIN32)
+void* open_library(const std::string& path) {
+  return reinterpret_cast<void*>(LoadLibraryA(path.c_str()));
+}
+void* find_symbol(void* library, const std::string& name) {
+  return reinterpret_cast<void*>(GetProcAddress(static_cast<HMODULE>(library), name.c_str()));
+}
+void close_library(void* library) { FreeLibrary(static_cast<HMODULE>(library)); }
+std::string library_error() { return "error " + std::to_string(GetLastError()); }
+#else
+void* open_library(const std::string& path) { return dlopen(path.c_str(), RTLD_NOW | RTLD_LOCAL); }
+void* find_symbol(void* library, const std::string& name) { return dlsym(library, name.c_str()); }
+void close_library(void* library) { dlclose(library); }
+std::string library_error() { return dlerror(); }
+#endif
+
+}  // namespace
 
 // Loads the library, checks the sizes of inputs and outputs, and allocates the function's work
 // space.

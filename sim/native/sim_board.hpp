@@ -7,6 +7,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 
 #include "board.hpp"
 #include "link/declaration.hpp"
@@ -56,5 +57,9 @@ class SimBoard {
   virtual void uart_receive(std::uint8_t byte) = 0;
   virtual bool uart_transmit(std::uint8_t& byte) = 0;
 };
+
+// Asks a board for its versions (hello and welcome of the link), before anything is simulated with
+// it. Lets up to `max_ms` milliseconds of the board's time pass. Empty when it does not answer.
+std::optional<heli::link::WelcomeMessage> greet(SimBoard& board, std::uint32_t max_ms);
 
 }  // namespace heli_sim

@@ -3,8 +3,8 @@
 The flight code flies a simulated rig at 1 kHz. The log keeps every second, fourth or tenth row, with the
 voltage of that row alone, as a slower logger does. A rig is healthy or has one plain cause; half of the rigs
 are in gusts, and half of the boards have rate filters that let more of the encoders' steps through to the
-motors. Seeds 9000 to 9099 are for development. Seeds 9100 to 9159 and 9340 to 9399 (healthy), and 9160 to 9219 and 9400 to 9459 (one cause),
-judge.
+motors. Seeds 9000 to 9099 are for development. Seeds 9100 to 9159 and 9340 to 9399 (healthy), and 9160 to
+9219 and 9400 to 9459 (one cause), judge.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from tests.mutants import session
 from tests.mutants.generate import BUILD, ROOT, BuildError, Mutant, Tree, digest
 from tests.mutants.reach import Reach, Recorder, Watch, blocks_of, reach_of, require_passed
 
-_BINDINGS: Final = ("sim/native/bind_", "sim/native/module", "tests/native/")
+_BINDINGS: Final = ("sim/native/bind_", "tests/native/")
 _LIBRARIES: Final = ("libheli_world.a", "libheli_core.a", "libnanobind-static.a")
 _ROOMS: Final = ("firmware/core", "sim/native", "tests/native")
 _QUICK: Final = ("-O0", "-w")

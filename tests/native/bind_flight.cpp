@@ -15,7 +15,6 @@
 #include <tuple>
 #include <utility>
 
-#include "bindings.hpp"
 #include "control/controller.hpp"
 #include "convert.hpp"
 #include "flight/limits.hpp"

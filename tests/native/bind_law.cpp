@@ -15,7 +15,6 @@
 #include <tuple>
 #include <vector>
 
-#include "bindings.hpp"
 #include "control/loop.hpp"
 #include "conversion.hpp"
 #include "law/functions.hpp"

@@ -12,7 +12,6 @@
 #include <utility>
 #include <vector>
 
-#include "bindings.hpp"
 #include "convert.hpp"
 #include "harness_board.hpp"
 #include "link/cobs.hpp"

@@ -9,7 +9,6 @@
 #include <tuple>
 #include <vector>
 
-#include "bindings.hpp"
 #include "encoders.hpp"
 
 namespace nb = nanobind;

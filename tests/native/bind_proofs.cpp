@@ -1,11 +1,11 @@
 // The invariants of firmware/proofs on flight code that breaks one. Compiled without access
 // control.
+#include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
 #include <memory>
 #include <string>
 
-#include "bindings.hpp"
 #include "flight_code.hpp"
 #include "invariants.hpp"
 #include "native_board.hpp"

@@ -40,8 +40,10 @@ def folders() -> list[Path]:
 
 
 def purpose_of(folder: Path) -> str:
-    """Purpose of a folder: its README or the docstring of its package; or those of its parent."""
-    for place in (folder, folder.parent):
+    """Purpose of a folder: its README or its package's docstring; or those of the nearest folder above."""
+    # A top-level folder speaks only for itself and its own folders.
+    above = [place for place in folder.parents if ROOT in place.parents and place.parent != ROOT]
+    for place in (folder, *(above or folder.parents[:1])):
         for name in ("README.md", "__init__.py"):
             text = (place / name).read_text() if (place / name).exists() and place != ROOT else ""
             if name == "README.md" and text:

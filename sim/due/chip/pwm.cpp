@@ -107,6 +107,46 @@ constexpr PwmPin kPwmPins[] = {
 // Fault inputs PWMFI0 to PWMFI2.
 constexpr PwmPin kFaultPins[] = {{pin_of('A', 5), 0}, {pin_of('A', 3), 1}, {pin_of('D', 6), 2}};
 
+constexpr std::uint32_t kClk = 0x00;
+constexpr std::uint32_t kEna = 0x04;
+constexpr std::uint32_t kDis = 0x08;
+constexpr std::uint32_t kSr = 0x0C;
+constexpr std::uint32_t kScm = 0x20;
+constexpr std::uint32_t kScuc = 0x28;
+constexpr std::uint32_t kOov = 0x44;
+constexpr std::uint32_t kOs = 0x48;
+constexpr std::uint32_t kOss = 0x4C;
+constexpr std::uint32_t kOsc = 0x50;
+constexpr std::uint32_t kFmr = 0x5C;
+constexpr std::uint32_t kFsr = 0x60;
+constexpr std::uint32_t kFcr = 0x64;
+constexpr std::uint32_t kFpv = 0x68;
+constexpr std::uint32_t kFpe1 = 0x6C;  // fault enables of channels 0 to 3, one byte each
+constexpr std::uint32_t kFpe2 = 0x70;  // of channels 4 to 7
+
+// Registers of the channels, and the offsets in one channel's.
+constexpr std::uint32_t kChannels = 0x200;
+constexpr std::uint32_t kChannelBytes = 0x20;
+constexpr std::uint32_t kCmr = 0x00;
+constexpr std::uint32_t kCdty = 0x04;
+constexpr std::uint32_t kCdtyupd = 0x08;
+constexpr std::uint32_t kCprd = 0x0C;
+constexpr std::uint32_t kCprdupd = 0x10;
+constexpr std::uint32_t kCcnt = 0x14;
+
+constexpr std::uint32_t kOverrideBits = 0x00FF00FFU;  // PWMH of each channel, and from bit 16 PWML
+constexpr std::uint32_t kDeadTime = 1U << 16;         // PWM_CMR.DTE
+constexpr std::uint32_t kCounterMask = 0xFFFFFFU;     // duty and period have 24 bits
+
+std::uint32_t register_of(int channel, std::uint32_t offset) {
+  return kChannels + kChannelBytes * static_cast<std::uint32_t>(channel) + offset;
+}
+
+// PWM_CMR
+constexpr std::uint32_t kPolarity = 1U << 9;     // CPOL
+constexpr std::uint32_t kInvertHigh = 1U << 17;  // DTHI
+constexpr std::uint32_t kInvertLow = 1U << 18;   // DTLI
+
 }  // namespace
 
 int Pwm::signal_at(int pin) {
@@ -286,6 +326,348 @@ void Pwm::update_faults() {
   }
   if (changed) outputs_changed();
   plan();
+}
+
+// PWM_FMR (polarity, latching, filter of the fault inputs), PWM_FCR (clears latched faults),
+// PWM_FPV (output levels under a fault) and PWM_FPE1, 2 (default).
+void Pwm::write_fault(std::uint32_t offset, std::uint32_t value) {
+  switch (offset) {
+    case kFmr:
+      fault_mode_ = value & 0x00FFFFFFU;  // FPOL, FMOD, FFIL
+      break;
+    case kFcr:
+      faults_ &= ~value;
+      break;
+    case kFpv:
+      fault_values_ = value & kOverrideBits;
+      break;
+    default:
+      for (unsigned i = 0; i < 4; ++i) {
+        fault_enable_[(offset - kFpe1) + i] = static_cast<std::uint8_t>(value >> (8 * i));
+      }
+      break;
+  }
+  update_faults();
+}
+
+// PWM_SCM: bits 0 to 7 say which channels are in the synchronous group.
+void Pwm::write_sync_mode(std::uint32_t value) {
+  const std::uint32_t joining = (value & ~sync_) & 0xFFU;
+  for (int channel = 0; channel < kPwmChannels; ++channel) {
+    const bool changes = (((value ^ sync_) >> channel) & 1U) != 0;
+    if (changes && channels_[index(channel)].enabled) {
+      misuse(kScm,
+             "channel " + std::to_string(channel) + " joins or leaves the group while enabled");
+    }
+  }
+  if (joining != 0 && (value & 1U) == 0)
+    misuse(kScm, "channel 0 must belong to the synchronous group");
+  if (((value >> 16) & 3U) != 0) not_modelled(kScm, "UPDM above 0, updates without UPDULOCK");
+  sync_ = value & 0x00F000FFU;  // SYNC, PTRM, PTRCS
+}
+
+// CDTYUPD or CPRDUPD of a channel: the value acts at the end of its period.
+void Pwm::write_update(int channel, std::uint32_t offset, std::uint32_t value) {
+  Channel& state = channels_[index(channel)];
+  const std::uint32_t reg = register_of(channel, offset);
+  if (offset == kCdtyupd) {
+    if (value > counter_of(channel).period && !counter_of(channel).period_waiting &&
+        state.enabled) {
+      misuse(reg, "a duty of " + std::to_string(value) +
+                      " is above CPRD = " + std::to_string(counter_of(channel).period));
+    }
+    state.duty_update = value & kCounterMask;
+    state.duty_waiting = true;
+    state.update_since = system_.now();
+  } else {
+    state.period_update = value & kCounterMask;
+    state.period_waiting = true;
+    state.update_since = system_.now();
+  }
+  // A channel that does not run uses the value immediately.
+  if (synchronous(channel)) return;
+  if (!state.enabled) load_updates(channel);
+  plan();
+}
+
+// A channel's register. The masks keep the bits that the register has.
+void Pwm::write_channel(int channel, std::uint32_t offset, std::uint32_t value) {
+  Channel& state = channels_[index(channel)];
+  const std::uint32_t reg = register_of(channel, offset);
+  if (offset == kCdtyupd || offset == kCprdupd) return write_update(channel, offset, value);
+  integrate_all();
+  if (state.enabled) misuse(reg, "write while the channel is enabled; use the update register");
+  switch (offset) {
+    case kCmr:
+      if ((value & kDeadTime) != 0) not_modelled(reg, "the dead-time generator is not modelled");
+      state.mode = value & 0x00070F0FU;  // DTE, DTHI, DTLI, CES, CPOL, CALG, CPRE
+      outputs_changed();
+      return;
+    case kCdty:
+      state.duty = value & kCounterMask;
+      return;
+    case kCprd:
+      state.period = value & kCounterMask;
+      return;
+    default:
+      return;
+  }
+}
+
+// A channel's register. CCNT is computed from the time; centre-aligned counters run up and down.
+std::uint32_t Pwm::read_channel(int channel, std::uint32_t offset) const {
+  const Channel& state = channels_[index(channel)];
+  switch (offset) {
+    case kCmr:
+      return state.mode;
+    case kCdty:
+      return state.duty;
+    case kCprd:
+      return state.period;
+    case kCcnt: {
+      if (!counts(channel)) return 0;
+      const std::uint64_t whole = period_of(channel);
+      const std::uint64_t phase = (system_.now() - counter_of(channel).origin) % whole;
+      const std::uint64_t up = center(channel) && phase > whole / 2 ? whole - phase : phase;
+      return static_cast<std::uint32_t>(up / step_cycles(channel));
+    }
+    default:
+      return 0;
+  }
+}
+
+// Registers of the controller, and from kChannels on those of the channels.
+std::uint32_t Pwm::read(std::uint32_t offset) {
+  if (offset >= kChannels)
+    return read_channel(static_cast<int>((offset - kChannels) / kChannelBytes),
+                        offset % kChannelBytes);
+  switch (offset) {
+    case kClk:
+      return clock_;
+    case kSr: {
+      std::uint32_t value = 0;
+      for (int i = 0; i < kPwmChannels; ++i) value |= channels_[index(i)].enabled ? 1U << i : 0U;
+      return value;
+    }
+    case kScm:
+      return sync_;
+    case kScuc:
+      return update_unlocked_ ? 1U : 0U;
+    case kOov:
+      return override_value_;
+    case kOs:
+      return override_;
+    case kFmr:
+      return fault_mode_;
+    case kFsr:
+      return fault_inputs_ | (faults_ << 8);
+    case kFpv:
+      return fault_values_;
+    case kFpe1:
+    case kFpe2: {
+      std::uint32_t value = 0;
+      for (unsigned i = 0; i < 4; ++i)
+        value |= std::uint32_t{fault_enable_[(offset - kFpe1) + i]} << (8 * i);
+      return value;
+    }
+    default:
+      return 0;
+  }
+}
+
+// PWM_SCUC.UPDULOCK: the group takes its waiting values at the end of the running period.
+void Pwm::unlock_update(std::uint32_t value) {
+  if ((value & 1U) == 0) return;
+  if (!update_unlocked_) unlocked_since_ = system_.now();
+  update_unlocked_ = true;
+  plan();
+}
+
+// What can change an output first counts its high cycles up to now, and then refreshes the pins.
+void Pwm::write(std::uint32_t offset, std::uint32_t value) {
+  if (offset >= kChannels)
+    return write_channel(static_cast<int>((offset - kChannels) / kChannelBytes),
+                         offset % kChannelBytes, value);
+  if (offset == kScuc) return unlock_update(value);
+  integrate_all();
+  switch (offset) {
+    case kClk:
+      clock_ = value & 0x0FFF0FFFU;  // PREB, DIVB, PREA, DIVA
+      break;
+    case kEna:
+      enable(value);
+      break;
+    case kDis:
+      disable(value);
+      break;
+    case kScm:
+      write_sync_mode(value);
+      break;
+    case kOov:
+      override_value_ = value & kOverrideBits;
+      break;
+    case kOs:
+      override_ = value & kOverrideBits;
+      break;
+    case kOss:
+      override_ |= value & kOverrideBits;
+      break;
+    case kOsc:
+      override_ &= ~value;
+      break;
+    case kFmr:
+    case kFcr:
+    case kFpv:
+    case kFpe1:
+    case kFpe2:
+      write_fault(offset, value);
+      break;
+    default:
+      break;
+  }
+  outputs_changed();
+  plan();
+}
+
+// Cycles of MCK per count, by CPRE: a power of 2, or clock A (11) or B (12) of PWM_CLK, which
+// divides by DIVA or DIVB times a power of 2.
+std::uint64_t Pwm::step_cycles(int channel) const {
+  const std::uint32_t prescaler = counter_of(channel).mode & 0xFU;
+  if (prescaler <= 10) return std::uint64_t{1} << prescaler;
+  const std::uint32_t half = prescaler == 11 ? clock_ & 0xFFFFU : clock_ >> 16;
+  const std::uint32_t divider = half & 0xFFU;
+  return divider == 0 ? 0 : std::uint64_t{divider} << std::min((half >> 8) & 0xFU, 10U);
+}
+
+// Period in cycles; a centre-aligned counter runs up and down in it.
+std::uint64_t Pwm::period_of(int channel) const {
+  const std::uint64_t counts = counter_of(channel).period;
+  return counts * step_cycles(channel) * (center(channel) ? 2 : 1);
+}
+
+std::uint32_t Pwm::period_cycles(int channel) const {
+  return static_cast<std::uint32_t>(period_of(channel));
+}
+
+// Whether the channel's counter runs.
+bool Pwm::counts(int channel) const {
+  return channels_[index(channel)].enabled && period_of(channel) != 0 && system_.clocked(clock_id_);
+}
+
+// Level of the comparator output. With CPOL = 0 it is low while the counter is below CDTY; with
+// CPOL = 1 it is high there.
+bool Pwm::comparator_level(int channel, std::uint64_t now) const {
+  const Channel& state = channels_[index(channel)];
+  const bool start_level = (state.mode & kPolarity) != 0;
+  if (!counts(channel)) return start_level;
+  const std::uint64_t whole = period_of(channel);
+  const std::uint64_t phase = (now - counter_of(channel).origin) % whole;
+  // The counter reaches CDTY at `edge`; centre-aligned, it falls below it again at `back`.
+  const std::uint64_t edge = std::min(state.duty * step_cycles(channel), whole);
+  const std::uint64_t back = center(channel) ? whole - std::min(edge, whole) : whole;
+  const bool beyond = phase >= edge && phase < back;
+  return beyond != start_level;
+}
+
+// Cycles in [from, to) during which the comparator output is high.
+std::uint64_t Pwm::comparator_high(int channel, std::uint64_t from, std::uint64_t to) const {
+  const Channel& state = channels_[index(channel)];
+  const bool start_level = (state.mode & kPolarity) != 0;
+  if (!counts(channel)) return start_level ? to - from : 0;
+  const std::uint64_t whole = period_of(channel);
+  const std::uint64_t edge = std::min(state.duty * step_cycles(channel), whole);
+  const std::uint64_t back = center(channel) ? whole - edge : whole;
+  const std::uint64_t width = back > edge ? back - edge : 0;
+  const std::uint64_t origin = counter_of(channel).origin;
+  // Cycles from the origin to `time` with the counter at or above CDTY.
+  const auto beyond_until = [&](std::uint64_t time) {
+    const std::uint64_t since = time - origin;
+    const std::uint64_t phase = since % whole;
+    const std::uint64_t part = phase > edge ? std::min(phase - edge, width) : 0;
+    return since / whole * width + part;
+  };
+  const std::uint64_t beyond = beyond_until(to) - beyond_until(from);
+  return start_level ? (to - from) - beyond : beyond;
+}
+
+std::uint32_t Pwm::faults_active(int channel) const {
+  // Synchronous channels take the enable bits of channel 0 instead of their own.
+  return faults_ & fault_enable_[synchronous(channel) ? 0 : index(channel)];
+}
+
+// Whether a fault or an override (which has less priority) holds the output; `level` is where.
+bool Pwm::forced(int channel, bool low_side, bool& level) const {
+  const unsigned bit = static_cast<unsigned>(channel) + (low_side ? 16U : 0U);
+  if (faults_active(channel) != 0) {
+    level = ((fault_values_ >> bit) & 1U) != 0;
+    return true;
+  }
+  if (((override_ >> bit) & 1U) != 0) {
+    level = ((override_value_ >> bit) & 1U) != 0;
+    return true;
+  }
+  return false;
+}
+
+// Level of an output now: PWML is the complement of PWMH.
+bool Pwm::level(int signal) const {
+  const int channel = signal % kLowSide;
+  const bool low_side = signal >= kLowSide;
+  bool value = false;
+  if (forced(channel, low_side, value)) return value;
+  const std::uint32_t mode = channels_[index(channel)].mode;
+  const bool inverted = (mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
+  return (comparator_level(channel, system_.now()) != low_side) != inverted;
+}
+
+// Counts the cycles up to `until` in which each output of the channel was high. Everything that
+// changes an output calls this first.
+void Pwm::integrate(int channel, std::uint64_t until) {
+  Channel& state = channels_[index(channel)];
+  if (until <= state.counted) return;
+  const std::uint64_t span = until - state.counted;
+  const std::uint64_t high = comparator_high(channel, state.counted, until);
+  for (const bool low_side : {false, true}) {
+    bool value = false;
+    const bool inverted = (state.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
+    if (forced(channel, low_side, value)) {
+      state.high[low_side] += value ? span : 0;
+    } else {
+      state.high[low_side] += low_side != inverted ? span - high : high;
+    }
+  }
+  state.counted = until;
+}
+
+void Pwm::integrate_all(std::uint64_t until) {
+  for (int channel = 0; channel < kPwmChannels; ++channel) integrate(channel, until);
+}
+
+std::uint64_t Pwm::high_cycles(int channel, bool low_side) {
+  integrate(channel, system_.now());
+  return channels_[index(channel)].high[low_side];
+}
+
+// See pwm.hpp: the mean over one whole period with the values that act now.
+double Pwm::duty(int channel, bool low_side) const {
+  bool value = false;
+  if (forced(channel, low_side, value)) return value ? 1.0 : 0.0;
+  const Channel& state = channels_[index(channel)];
+  const bool inverted = (state.mode & (low_side ? kInvertLow : kInvertHigh)) != 0;
+  const bool complement = low_side != inverted;
+  if (!counts(channel)) return ((state.mode & kPolarity) != 0) != complement ? 1.0 : 0.0;
+  const std::uint64_t origin = counter_of(channel).origin;
+  const std::uint64_t whole = period_of(channel);
+  const std::uint64_t high = comparator_high(channel, origin, origin + whole);
+  return static_cast<double>(complement ? whole - high : high) / static_cast<double>(whole);
+}
+
+// The cycle after `after` at which the channel's next period begins.
+std::uint64_t Pwm::next_period(int channel, std::uint64_t after) const {
+  const std::uint64_t whole = period_of(channel);
+  const std::uint64_t origin = counter_of(channel).origin;
+  if (after < origin) return origin;
+  return origin + ((after - origin) / whole + 1) * whole;
 }
 
 }  // namespace due_emulator

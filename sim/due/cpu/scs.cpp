@@ -1,7 +1,99 @@
 // Reads and writes of the system control space: NVIC, SCB and debug registers; see scs.hpp.
 #include "cpu/scs.hpp"
 
-#include "cpu/scs_registers.hpp"
+// Registers of the system control space by their names in the ARMv7-M manual (B3.2 to B3.4, C1.6
+// and C1.8), and the bits that the model reads or writes.
+namespace due_emulator::scs {
+
+// Addresses of the data watchpoint and trace unit, which counts processor cycles.
+constexpr std::uint32_t kDwtCtrl = 0xE0001000;
+constexpr std::uint32_t kDwtCyccnt = 0xE0001004;
+constexpr std::uint32_t kDwtCycCntEna = 1U << 0;     // DWT_CTRL.CYCCNTENA
+constexpr std::uint32_t kDwtNumComp = 0x40000000;    // DWT_CTRL.NUMCOMP: 4 comparators
+constexpr std::uint32_t kDwtReadOnly = 0xF0000000U;  // NUMCOMP ignores writes
+
+// The system control space is one page; the registers below are offsets in it.
+constexpr std::uint32_t kBase = 0xE000E000;
+constexpr std::uint32_t kEnd = 0xE000F000;
+
+constexpr std::uint32_t kIctr = 0x004;       // interrupt lines, in groups of 32
+constexpr std::uint32_t kActlr = 0x008;      // auxiliary control
+constexpr std::uint32_t kSystCsr = 0x010;    // SysTick control and status
+constexpr std::uint32_t kSystRvr = 0x014;    // SysTick reload value
+constexpr std::uint32_t kSystCvr = 0x018;    // SysTick current value
+constexpr std::uint32_t kSystCalib = 0x01C;  // SysTick reload value for a known time
+
+// NVIC. Each of the five bit arrays has one bit per interrupt; NVIC_IPR has one byte.
+constexpr std::uint32_t kNvicIser = 0x100;   // set enable
+constexpr std::uint32_t kNvicIcer = 0x180;   // clear enable
+constexpr std::uint32_t kNvicIspr = 0x200;   // set pending
+constexpr std::uint32_t kNvicIcpr = 0x280;   // clear pending
+constexpr std::uint32_t kNvicIpr = 0x400;    // priorities
+constexpr std::uint32_t kNvicEnd = 0x500;    // the first offset behind NVIC_IPR
+constexpr std::uint32_t kNvicArray = 0x780;  // mask: which bit array an offset is in
+constexpr std::uint32_t kNvicByte = 0x07F;   // mask: which byte of that array
+
+constexpr std::uint32_t kCpuid = 0xD00;
+constexpr std::uint32_t kIcsr = 0xD04;   // interrupt control and state
+constexpr std::uint32_t kVtor = 0xD08;   // vector table offset
+constexpr std::uint32_t kAircr = 0xD0C;  // priority grouping, system reset
+constexpr std::uint32_t kScr = 0xD10;    // sleep
+constexpr std::uint32_t kCcr = 0xD14;    // configuration and control
+constexpr std::uint32_t kShpr1 = 0xD18;  // priorities of exceptions 4 to 7
+constexpr std::uint32_t kShpr2 = 0xD1C;  // 8 to 11
+constexpr std::uint32_t kShpr3 = 0xD20;  // 12 to 15
+constexpr std::uint32_t kShcsr = 0xD24;  // system handler control and state
+constexpr std::uint32_t kCfsr = 0xD28;   // configurable fault status
+constexpr std::uint32_t kHfsr = 0xD2C;   // HardFault status
+constexpr std::uint32_t kDfsr = 0xD30;   // debug fault status
+constexpr std::uint32_t kMmfar = 0xD34;  // address of a MemManage fault
+constexpr std::uint32_t kBfar = 0xD38;   // address of a BusFault
+constexpr std::uint32_t kAfsr = 0xD3C;   // auxiliary fault status
+constexpr std::uint32_t kMpuType = 0xD90;
+constexpr std::uint32_t kDhcsr = 0xDF0;  // debug halting control
+constexpr std::uint32_t kDemcr = 0xDFC;  // debug exception and monitor control
+constexpr std::uint32_t kStir = 0xF00;   // software trigger interrupt
+
+// SYST_CSR
+constexpr std::uint32_t kSystEnable = 1U << 0;
+constexpr std::uint32_t kSystTickInt = 1U << 1;
+constexpr std::uint32_t kSystClkSource = 1U << 2;  // 1: MCK, 0: MCK / 8
+constexpr std::uint32_t kSystCountFlag = 1U << 16;
+constexpr std::uint32_t kSystCounterMask = 0xFFFFFF;  // the counter has 24 bits
+
+// ICSR
+constexpr std::uint32_t kRetToBase = 1U << 11;
+constexpr unsigned kVectPendingShift = 12;
+constexpr std::uint32_t kIsrPending = 1U << 22;
+constexpr std::uint32_t kPendStClr = 1U << 25;
+constexpr std::uint32_t kPendStSet = 1U << 26;
+constexpr std::uint32_t kPendSvClr = 1U << 27;
+constexpr std::uint32_t kPendSvSet = 1U << 28;
+constexpr std::uint32_t kNmiPendSet = 1U << 31;
+
+constexpr std::uint32_t kVtorMask = 0x3FFFFF80;  // TBLOFF: a table begins at 128 bytes
+
+// AIRCR. A write needs VECTKEY; a read shows its complement.
+constexpr std::uint32_t kVectKey = 0x05FA;
+constexpr std::uint32_t kVectKeyStat = 0xFA050000U;
+constexpr unsigned kPriGroupShift = 8;
+constexpr std::uint32_t kVectReset = 1U << 0;
+constexpr std::uint32_t kSysResetReq = 1U << 2;
+
+// SCR: SLEEPONEXIT (bit 1), SLEEPDEEP and SEVONPEND can be written.
+constexpr std::uint32_t kSleepDeep = 1U << 2;
+constexpr std::uint32_t kSevOnPend = 1U << 4;
+constexpr std::uint32_t kScrMask = 0x16;
+
+// CCR: NONBASETHRDENA (bit 0), USERSETMPEND (1), UNALIGN_TRP (3), DIV_0_TRP (4), BFHFNMIGN (8) and
+// STKALIGN (9) can be written.
+constexpr std::uint32_t kCcrMask = 0x31B;
+
+constexpr std::uint32_t kTrcEna = 1U << 24;        // DEMCR.TRCENA: the trace units run
+constexpr std::uint32_t kStirIntId = 0x1FF;        // STIR.INTID: interrupt number
+constexpr std::uint32_t kMpuRegions = 0x00000800;  // MPU_TYPE.DREGION: 8
+
+}  // namespace due_emulator::scs
 
 namespace due_emulator {
 
@@ -394,6 +486,53 @@ void SystemControl::write_shcsr(std::uint32_t value) {
       exceptions_.set_enabled(handler.number, (value & handler.enable_bit) != 0);
     }
   }
+}
+
+// SYST_CVR now. systick_zero_ is the cycle at which the counter becomes 0; from there it repeats.
+std::uint32_t SystemControl::systick_value() const {
+  if ((systick_control_ & scs::kSystEnable) == 0 || systick_reload_ == 0)
+    return systick_stopped_value_;
+  const std::uint64_t now = cpu_.cycles();
+  if (now >= systick_zero_) {
+    const std::uint64_t since = (now - systick_zero_) % systick_period();
+    const std::uint64_t steps = since / systick_step();
+    return steps == 0 ? 0U : static_cast<std::uint32_t>(systick_reload_ + 1 - steps);
+  }
+  const std::uint64_t steps = (systick_zero_ - now + systick_step() - 1) / systick_step();
+  // One step before the reload value is loaded the counter still shows 0.
+  return steps > systick_reload_ ? 0U : static_cast<std::uint32_t>(steps);
+}
+
+// Brings COUNTFLAG, the pending exception and systick_zero_ up to the present cycle, if the counter
+// has reached 0 since the last call.
+void SystemControl::catch_up_systick() {
+  if ((systick_control_ & scs::kSystEnable) == 0 || systick_reload_ == 0) return;
+  const std::uint64_t now = cpu_.cycles();
+  if (now < systick_zero_) return;
+  systick_control_ |= scs::kSystCountFlag;
+  systick_zero_ += ((now - systick_zero_) / systick_period() + 1) * systick_period();
+  if ((systick_control_ & scs::kSystTickInt) != 0) exceptions_.pend(exc::kSysTick);
+}
+
+// Lets the counter run from its stopped value (ENABLE was written, or the counter was cleared).
+void SystemControl::start_systick() {
+  const std::uint64_t value = systick_stopped_value_;
+  // From a value of 0 the first clock loads the reload value.
+  const std::uint64_t steps = value != 0 ? value : std::uint64_t{systick_reload_} + 1;
+  systick_zero_ = cpu_.cycles() + steps * systick_step();
+  plan_systick();
+}
+
+// Schedules event() for the next zero, if SysTick is to raise its exception there.
+void SystemControl::plan_systick() {
+  const bool running = (systick_control_ & scs::kSystEnable) != 0 && systick_reload_ != 0;
+  const bool wanted = running && (systick_control_ & scs::kSystTickInt) != 0;
+  scheduler_.set(id_, wanted ? systick_zero_ : kNever);
+}
+
+void SystemControl::event(std::uint64_t) {
+  catch_up_systick();
+  plan_systick();
 }
 
 }  // namespace due_emulator

@@ -10,7 +10,6 @@
 
 #include "chip/system.hpp"
 #include "cpu/scs.hpp"
-#include "python/bindings.hpp"
 
 namespace nb = nanobind;
 using namespace due_emulator;

@@ -11,10 +11,12 @@
 #include <vector>
 
 #include "board/due.hpp"
-#include "python/bindings.hpp"
+#include "bus/diagnostics.hpp"
 
 namespace nb = nanobind;
 using namespace due_emulator;
+
+void bind_core(nb::module_& module);  // bind_core.cpp
 
 namespace {
 
@@ -386,7 +388,11 @@ void bind_measuring(nb::class_<Due>& due) {
 
 }  // namespace
 
-void bind_due(nb::module_& module) {
+NB_MODULE(_due, module) {
+  module.doc() = "The emulated Arduino Due.";
+  const nb::object errors = nb::module_::import_("due_emulator.errors");
+  nb::exception<Stop>(module, "Stop", errors.attr("EmulatorError"));
+  bind_core(module);
   nb::class_<Due> due(module, "Due", "The emulated Arduino Due.");
   bind_running(due);
   bind_outside(due);

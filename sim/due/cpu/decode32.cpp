@@ -1,10 +1,12 @@
-// 32-bit Thumb encodings of loads, stores, branches and control. Each function decodes one table of
+// 32-bit Thumb encodings. Each function decodes one table of
 // the ARMv7-M manual (A5.3); `hw1` and `hw2` are the instruction's first and second halfword.
 #include "cpu/decoder.hpp"
 
 namespace due_emulator {
 
+using ops::Alu;
 using ops::Mode;
+using ops::Op2;
 
 namespace {
 
@@ -266,6 +268,287 @@ void Decoder::special_register(std::uint32_t hw1, std::uint32_t hw2) {
   ra(field(hw2, 8, 4));
   if (bad(out_.rn)) return undefined();
   put<&ops::move_to_special>();
+}
+
+// The operations that immediates (A5.3.1) and shifted registers (A5.3.11) share, by the field `op`.
+// With d = 15 and the flags set, an operation only compares; with n = 15, ORR and ORN are MOV and
+// MVN.
+void Decoder::data_processing32(std::uint32_t op, bool flags, Op2 op2, std::uint32_t d,
+                                std::uint32_t n) {
+  rd(d);
+  rn(n);
+  // ADD and SUB may use the stack pointer; nothing else may.
+  const bool sp_allowed = (op == 8 || op == 13) && n == 13;
+  if (d == 13 && !sp_allowed) return undefined();
+  if (n == 13 && op != 8 && op != 13) return undefined();
+  const bool compare = d == 15 && flags;
+  if (d == 15 && !compare) return undefined();
+  if (n == 15 && op != 2 && op != 3) return undefined();
+  switch (op) {
+    case 0:  // AND, TST
+      return compare ? put_op2<Alu::kTst>(op2, true) : put_op2<Alu::kAnd>(op2, flags);
+    case 1:  // BIC
+      return d == 15 ? undefined() : put_op2<Alu::kBic>(op2, flags);
+    case 2:  // ORR, MOV
+      if (d == 15) return undefined();
+      return n == 15 ? put_op2<Alu::kMov>(op2, flags) : put_op2<Alu::kOrr>(op2, flags);
+    case 3:  // ORN, MVN
+      if (d == 15) return undefined();
+      return n == 15 ? put_op2<Alu::kMvn>(op2, flags) : put_op2<Alu::kOrn>(op2, flags);
+    case 4:  // EOR, TEQ
+      return compare ? put_op2<Alu::kTeq>(op2, true) : put_op2<Alu::kEor>(op2, flags);
+    case 8:  // ADD, CMN
+      return compare ? put_op2<Alu::kCmn>(op2, true) : put_op2<Alu::kAdd>(op2, flags);
+    case 10:
+      return d == 15 ? undefined() : put_op2<Alu::kAdc>(op2, flags);
+    case 11:
+      return d == 15 ? undefined() : put_op2<Alu::kSbc>(op2, flags);
+    case 13:  // SUB, CMP
+      return compare ? put_op2<Alu::kCmp>(op2, true) : put_op2<Alu::kSub>(op2, flags);
+    case 14:
+      return d == 15 ? undefined() : put_op2<Alu::kRsb>(op2, flags);
+    default:
+      return undefined();
+  }
+}
+
+// Data processing with a shifted register as second operand (A5.3.11); `amount` is imm3:imm2.
+void Decoder::shifted_register(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t op = field(hw1, 5, 4);
+  const std::uint32_t n = field(hw1, 0, 4);
+  const std::uint32_t d = field(hw2, 8, 4);
+  const bool flags = field(hw1, 4, 1) != 0;
+  const std::uint32_t amount = (field(hw2, 12, 3) << 2) | field(hw2, 6, 2);
+  rm(field(hw2, 0, 4));
+  const bool is_move = op == 2 && n == 15;
+  if (field(hw2, 15, 1) != 0 || op == 6) return undefined();
+  // MOV.W (register) without shift may read or write the stack pointer.
+  if (is_move && !flags && amount == 0 && field(hw2, 4, 2) == 0 && d != 15 && out_.rm != 15 &&
+      !(d == 13 && out_.rm == 13)) {
+    rd(d);
+    return put_alu<Alu::kMov, Op2::kReg>(false);
+  }
+  if (bad(out_.rm)) return undefined();
+  // With the stack pointer as result only LSL by up to 3 is defined.
+  if (d == 13 && (field(hw2, 4, 2) != 0 || amount > 3)) return undefined();
+  data_processing32(op, flags, immediate_shift(field(hw2, 4, 2), amount), d, n);
+}
+
+// Data processing with a modified immediate (A5.3.1 and A5.3.2): imm12 is a byte that is repeated
+// in a pattern, or a byte with its top bit set that is rotated right by imm12<11:7>. The rotation
+// also gives the carry.
+void Decoder::modified_immediate(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t imm12 =
+      (field(hw1, 10, 1) << 11) | (field(hw2, 12, 3) << 8) | field(hw2, 0, 8);
+  const std::uint32_t low = imm12 & 0xFFU;
+  Op2 op2 = Op2::kImm;
+  if ((imm12 >> 10) == 0) {
+    if (imm12 >= 0x100 && low == 0) return undefined();  // UNPREDICTABLE
+    switch (imm12 >> 8) {
+      case 0:  // 000000XY
+        out_.imm = low;
+        break;
+      case 1:  // 00XY00XY
+        out_.imm = low | (low << 16);
+        break;
+      case 2:  // XY00XY00
+        out_.imm = (low << 8) | (low << 24);
+        break;
+      default:  // XYXYXYXY
+        out_.imm = low | (low << 8) | (low << 16) | (low << 24);
+        break;
+    }
+  } else {
+    out_.imm = ops::rotate_right(0x80U | (imm12 & 0x7FU), imm12 >> 7);
+    op2 = Op2::kImmCarry;
+  }
+  data_processing32(field(hw1, 5, 4), field(hw1, 4, 1) != 0, op2, field(hw2, 8, 4),
+                    field(hw1, 0, 4));
+}
+
+// Plain binary immediate (A5.3.3), by op: 0 ADDW, 10 SUBW (with PC: ADR), 4 MOVW, 12 MOVT, 16 and
+// 18 SSAT, 24 and 26 USAT, 20 SBFX, 28 UBFX, 22 BFI and BFC.
+void Decoder::plain_immediate(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t op = field(hw1, 4, 5);
+  const std::uint32_t n = field(hw1, 0, 4);
+  const std::uint32_t imm12 =
+      (field(hw1, 10, 1) << 11) | (field(hw2, 12, 3) << 8) | field(hw2, 0, 8);
+  // imm3:imm2 and imm5: a shift amount or lowest bit, and a width or highest bit.
+  const std::uint32_t low_bit = (field(hw2, 12, 3) << 2) | field(hw2, 6, 2);
+  const std::uint32_t width = field(hw2, 0, 5);
+  rd(field(hw2, 8, 4));
+  rn(n);
+  const bool sp_result = out_.rd == 13 && n == 13 && (op == 0 || op == 10);
+  if (bad(out_.rd) && !sp_result) return undefined();
+  switch (op) {
+    case 0:
+    case 10:  // ADDW, SUBW
+      if (n == 15) {
+        out_.imm = op == 0 ? (pc() & ~3U) + imm12 : (pc() & ~3U) - imm12;
+        return put_alu<Alu::kMov, Op2::kImm>(false);
+      }
+      out_.imm = imm12;
+      return op == 0 ? put_alu<Alu::kAdd, Op2::kImm>(false) : put_alu<Alu::kSub, Op2::kImm>(false);
+    case 4:  // MOVW
+      out_.imm = (n << 12) | imm12;
+      return put_alu<Alu::kMov, Op2::kImm>(false);
+    case 12:  // MOVT
+      out_.imm = (n << 12) | imm12;
+      return put<&ops::move_top>();
+    case 16:
+    case 18:
+    case 24:
+    case 26: {  // SSAT, USAT
+      const bool arithmetic = (op & 2U) != 0;
+      // Without a shift amount, bit 1 of the opcode means SSAT16 and USAT16: DSP extension.
+      if ((arithmetic && low_bit == 0) || bad(n)) return undefined();
+      ra(arithmetic ? 1 : 0);
+      extra(low_bit);
+      if (op < 20) {
+        out_.imm = (1U << width) - 1U;
+        return put<&ops::saturate<true>>();
+      }
+      out_.imm = static_cast<std::uint32_t>((std::uint64_t{1} << width) - 1U);
+      return put<&ops::saturate<false>>();
+    }
+    case 20:
+    case 28:  // SBFX, UBFX; `width` is one less than the number of bits
+      if (low_bit + width > 31 || bad(n)) return undefined();
+      extra(low_bit);
+      out_.imm = width == 31 ? ~0U : (2U << width) - 1U;
+      return op == 20 ? put<&ops::bit_field_signed>() : put<&ops::bit_field_unsigned>();
+    case 22: {  // BFI, BFC; here `width` is the highest bit
+      if (width < low_bit || n == 13) return undefined();
+      const std::uint32_t bits = width - low_bit;
+      extra(low_bit);
+      out_.imm = bits == 31 ? ~0U : (2U << bits) - 1U;
+      return put<&ops::bit_field_insert>();
+    }
+    default:
+      return undefined();
+  }
+}
+
+// Register operations (A5.3.12): shifts, extensions, reversals of bytes and bits, CLZ.
+void Decoder::register_operations(std::uint32_t hw1, std::uint32_t hw2) {
+  using ops::Extend;
+  using ops::Shift;
+  using ops::Unary;
+  const std::uint32_t op1 = field(hw1, 4, 4);
+  const std::uint32_t op2 = field(hw2, 4, 4);
+  rd(field(hw2, 8, 4));
+  rn(field(hw1, 0, 4));
+  rm(field(hw2, 0, 4));
+  if (field(hw2, 12, 4) != 15 || bad(out_.rd) || bad(out_.rm)) return undefined();
+  if (op1 < 8 && op2 == 0) {  // shift by a register; bit 0 of op1 sets the flags
+    if (bad(out_.rn)) return undefined();
+    switch (op1) {
+      case 0:
+        return put<&ops::shift_by_register<Shift::kLsl, false>>();
+      case 1:
+        return put<&ops::shift_by_register<Shift::kLsl, true>>();
+      case 2:
+        return put<&ops::shift_by_register<Shift::kLsr, false>>();
+      case 3:
+        return put<&ops::shift_by_register<Shift::kLsr, true>>();
+      case 4:
+        return put<&ops::shift_by_register<Shift::kAsr, false>>();
+      case 5:
+        return put<&ops::shift_by_register<Shift::kAsr, true>>();
+      case 6:
+        return put<&ops::shift_by_register<Shift::kRor, false>>();
+      default:
+        return put<&ops::shift_by_register<Shift::kRor, true>>();
+    }
+  }
+  if (op1 < 8 && (op2 & 8U) != 0 && (op2 & 4U) == 0) {  // extensions
+    // With a base register these are the DSP extension's extend-and-add.
+    if (out_.rn != 15) return undefined();
+    extra(8 * field(hw2, 4, 2));  // the source is rotated by whole bytes
+    switch (op1) {
+      case 0:
+        return put<&ops::extend<Extend::kSxth>>();
+      case 1:
+        return put<&ops::extend<Extend::kUxth>>();
+      case 4:
+        return put<&ops::extend<Extend::kSxtb>>();
+      case 5:
+        return put<&ops::extend<Extend::kUxtb>>();
+      default:
+        return undefined();
+    }
+  }
+  if (op1 == 9 && (op2 & 0xCU) == 8) {
+    // The encoding holds rm twice.
+    if (out_.rn != out_.rm) return undefined();
+    switch (op2 & 3U) {
+      case 0:
+        return put<&ops::unary<Unary::kRev>>();
+      case 1:
+        return put<&ops::unary<Unary::kRev16>>();
+      case 2:
+        return put<&ops::unary<Unary::kRbit>>();
+      default:
+        return put<&ops::unary<Unary::kRevsh>>();
+    }
+  }
+  if (op1 == 11 && op2 == 8) {
+    if (out_.rn != out_.rm) return undefined();
+    return put<&ops::unary<Unary::kClz>>();
+  }
+  undefined();
+}
+
+// MUL, MLA and MLS (A5.3.16); ra = 15 means that nothing is added.
+void Decoder::multiply32(std::uint32_t hw1, std::uint32_t hw2) {
+  rd(field(hw2, 8, 4));
+  rn(field(hw1, 0, 4));
+  rm(field(hw2, 0, 4));
+  ra(field(hw2, 12, 4));
+  if (field(hw1, 4, 3) != 0 || field(hw2, 6, 2) != 0 || bad(out_.rd) || bad(out_.rn) ||
+      bad(out_.rm)) {
+    return undefined();
+  }
+  cycles(2);
+  const std::uint32_t op = field(hw2, 4, 2);
+  if (op == 0 && out_.ra == 15) {
+    cycles(1);
+    return put<&ops::multiply<false>>();
+  }
+  if (op > 1 || bad(out_.ra)) return undefined();
+  op == 0 ? put<&ops::multiply_add>() : put<&ops::multiply_subtract>();
+}
+
+// SDIV and UDIV, and multiplications with a result of 64 bits: SMULL (op1 0), UMULL (2), SMLAL (4),
+// UMLAL (6). See A5.3.17.
+void Decoder::multiply_long32(std::uint32_t hw1, std::uint32_t hw2) {
+  const std::uint32_t op1 = field(hw1, 4, 3);
+  const std::uint32_t op2 = field(hw2, 4, 4);
+  rn(field(hw1, 0, 4));
+  rm(field(hw2, 0, 4));
+  if (bad(out_.rn) || bad(out_.rm)) return undefined();
+  if ((op1 == 1 || op1 == 3) && op2 == 15) {
+    rd(field(hw2, 8, 4));
+    if (field(hw2, 12, 4) != 15 || bad(out_.rd)) return undefined();
+    cycles(2);  // the shortest division; the handler adds the others' cycles
+    return op1 == 1 ? put<&ops::divide<true>>() : put<&ops::divide<false>>();
+  }
+  rd(field(hw2, 12, 4));
+  ra(field(hw2, 8, 4));
+  if (op2 != 0 || bad(out_.rd) || bad(out_.ra) || out_.rd == out_.ra) return undefined();
+  cycles(op1 >= 4 ? 5 : 4);
+  switch (op1) {
+    case 0:
+      return put<&ops::multiply_long<true, false>>();
+    case 2:
+      return put<&ops::multiply_long<false, false>>();
+    case 4:
+      return put<&ops::multiply_long<true, true>>();
+    case 6:
+      return put<&ops::multiply_long<false, true>>();
+    default:
+      return undefined();
+  }
 }
 
 }  // namespace due_emulator

@@ -1,5 +1,5 @@
-// Sends hello to a board and reads its welcome; see greeting.hpp.
-#include "greeting.hpp"
+// Sends hello to a board and reads its welcome; see sim_board.hpp.
+#include "sim_board.hpp"
 
 #include <algorithm>
 #include <array>
