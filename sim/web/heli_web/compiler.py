@@ -27,7 +27,7 @@ _TARGET: Final = (
 _COMMON: Final = ("-O2", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
 _FLAGS: Final = (*_TARGET, *_COMMON, "-std=c++17", "-fno-access-control", "-w")
 _INCLUDES: Final = ("firmware/core", "firmware/proofs", "sim/native", "sim/due_board", "sim/due")
-_LEFT_OUT: Final = ("plant_step.cpp", "greeting.cpp", "module.cpp")
+_LEFT_OUT: Final = ("plant_step.cpp", "sim_board.cpp", "module.cpp")
 _EXCEPTIONS: Final = (
     "libcxxabi/src/cxa_exception.cpp",
     "libcxxabi/src/cxa_personality.cpp",
