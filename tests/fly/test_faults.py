@@ -19,12 +19,11 @@ from heli_sim.rig import write_rig
 
 from tests.firmware.built import built_elf
 from tests.fly import plug_sweep
-from tests.fly.fault_flights import Case, Outcome, flown
 from tests.fly.fault_sweep import HEAD as SWEEP_HEAD
 from tests.fly.fault_sweep import LEFT_DEG, swept
 from tests.fly.fault_sweep import Case as SweptCase
 from tests.fly.fault_sweep import flown as fly_with_fault
-from tests.fly.fault_table import CASES, ELSEWHERE, HEAD, row
+from tests.fly.fault_table import CASES, ELSEWHERE, HEAD, Case, Outcome, flown, row
 from tests.fly.plug_sweep import random_rig
 from tests.fly.travel_checks import hovers
 from tests.running.long import LONG, samples, select_cases

@@ -166,7 +166,7 @@ def test_the_build_of_a_container_gets_every_source_of_the_wheel() -> None:
 
 MAKEFILE: Final = ROOT / "Makefile"
 TARGETS: Final = re.findall(r"^([a-z]+):(?!=)", MAKEFILE.read_text(), re.MULTILINE)
-FEW_TESTS: Final = "tests/running/test_helpers.py"
+FEW_TESTS: Final = "tests/running/test_order.py"
 
 
 @dataclass(frozen=True)

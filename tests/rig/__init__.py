@@ -1,4 +1,4 @@
 """Claims about the rigs that come with the package, and about files that cannot be a rig.
 
-`tests/model/test_rig.py` tests how a file is read and spelled.
+`tests/rig/test_shipped_rigs.py` tests how a file is read and spelled.
 """

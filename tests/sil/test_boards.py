@@ -10,8 +10,8 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
+from due_chip import Build, build
 from due_emulator import Image, read_image
-from due_programs import Build, build
 from heli_host.board.heli import Heli
 from heli_host.board.parameters import read_origin
 from heli_host.board.rig_check import BoardProperty, rig_differences, rig_parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 
-from due_programs import build
+from due_chip import build
 
 __all__ = ["build"]
 

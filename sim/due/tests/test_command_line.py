@@ -13,9 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from due_chip import Build
 from due_emulator import Due, Image, ImageError, new_due, read_image, report_of
 from due_emulator.gdb import GdbServer, packet
-from due_programs import Build
 
 pytestmark = pytest.mark.emulated
 

@@ -8,8 +8,8 @@ import struct
 from pathlib import Path
 
 import pytest
+from due_chip import Build
 from due_emulator import Due, Stop, new_due, read_image
-from due_programs import Build
 from thumb import ENCODINGS, FLASH, FLASH_SIZE, RAM, RAM_SIZE, Oracle, random_block
 
 LONG = os.environ.get("HELI_LONG") == "1"

@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 
 import fetch_svd
 import pytest
+from due_chip import PROGRAMS, Build
 from due_emulator import Due, Image, new_due, read_image
-from due_programs import PROGRAMS, Build
 
 pytestmark = pytest.mark.emulated
 

@@ -8,9 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from due_chip import FLASH, Chip
+from due_chip import FLASH, Build, Chip
 from due_emulator import Due, Stop, new_due, read_image
-from due_programs import Build
 
 pytestmark = pytest.mark.emulated
 
