@@ -16,7 +16,7 @@ from tests.page.page_server import SHORT_PLAN
 
 
 def board_module() -> Path:
-    """The module of the boards; compiled in two minutes where the sources are new."""
+    """The module of the boards; compiled in a minute if the sources are new."""
     if importlib.util.find_spec("ziglang") is None:
         pytest.skip("skipped: no compiler for WebAssembly: make setup")
     return built_board(print)

@@ -1,16 +1,21 @@
 """Compile the simulated world to WebAssembly by the compiler in PyPI's package ziglang.
 
 Its C++ library for WebAssembly comes without exceptions, which the emulated Due uses in normal flow. The
-three files of LLVM's libc++abi and libunwind that implement them are in the package, and are compiled here.
+parts of LLVM's libc++, libc++abi and libunwind that the module needs are in the package, and are compiled
+here with exceptions.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.util
+import os
+import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final, TextIO
 
@@ -28,11 +33,22 @@ _COMMON: Final = ("-O2", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
 _FLAGS: Final = (*_TARGET, *_COMMON, "-std=c++17", "-fno-access-control", "-w")
 _INCLUDES: Final = ("firmware/core", "firmware/proofs", "sim/native", "sim/due_board", "sim/due")
 _LEFT_OUT: Final = ("plant_step.cpp", "sim_board.cpp", "module.cpp")
-_EXCEPTIONS: Final = (
-    "libcxxabi/src/cxa_exception.cpp",
-    "libcxxabi/src/cxa_personality.cpp",
-    "libunwind/src/Unwind-wasm.c",
+_LIBRARY: Final = {
+    "libcxx": "memory exception functional hash new new_handler new_helpers optional stdexcept string "
+    "vector verbose_abort",
+    "libcxxabi": "abort_message cxa_aux_runtime cxa_default_handlers cxa_exception cxa_exception_storage "
+    "cxa_guard cxa_handlers cxa_personality cxa_virtual fallback_malloc private_typeinfo stdlib_exception "
+    "stdlib_new_delete stdlib_stdexcept stdlib_typeinfo",
+}
+"""Parts of the C++ library that the module needs. The compiler itself would first build all of it."""
+_RUNTIME: Final = (
+    *("_LIBCPP_BUILDING_LIBRARY", "_LIBCXXABI_BUILDING_LIBRARY", "LIBCXX_BUILDING_LIBCXXABI"),
+    *("_LIBCXXABI_HAS_NO_THREADS", "LIBCXXABI_SILENT_TERMINATE"),
+    *("_LIBUNWIND_HIDE_SYMBOLS", "_LIBUNWIND_HAS_NO_THREADS"),
 )
+"""Macros for these parts."""
+_ALONE: Final = re.compile("sim/due/(chip/|cpu/decode)")
+"""Sources that define the same names, such as those of registers; other folders are compiled in one piece."""
 _TAG: Final = ".globl __cpp_exception\n.tagtype __cpp_exception i32\n__cpp_exception:\n"
 
 
@@ -61,39 +77,44 @@ def compile_board(output: Path, root: Path = _ROOT) -> None:
 
 def _compile(output: Path, root: Path, library: Path) -> None:
     """Compile and link the module `output`, next to which its objects are; `library` is ziglang's."""
-    build, objects = output.parent, []
-    for name in _EXCEPTIONS:
-        source = library / name
-        objects.append(build / f"{source.stem}.o")
-        includes = ("libcxxabi/include", "libcxxabi/src", "libcxx/src", "libunwind/include")
-        _run(
-            "c++" if source.suffix == ".cpp" else "cc",
-            *_TARGET,
-            *_COMMON,
-            "-w",
-            *(f"-I{library / part}" for part in includes),
-            *(f"-D{name}" for name in ("_LIBCXXABI_BUILDING_LIBRARY", "_LIBCPP_BUILDING_LIBRARY")),
-            *(f"-D{name}" for name in ("_LIBCXXABI_HAS_NO_THREADS", "LIBCXX_BUILDING_LIBCXXABI")),
-            *(f"-D{name}" for name in ("_LIBUNWIND_HIDE_SYMBOLS", "_LIBUNWIND_HAS_NO_THREADS")),
-            "-c",
-            str(source),
-            "-o",
-            str(objects[-1]),
-        )
-    tag = build / "tag.s"
+    tag = output.with_name("tag.s")
     tag.write_text(_TAG, encoding="utf-8")
-    objects.append(build / "tag.o")
-    _run("cc", *_TARGET[:3], "-c", str(tag), "-o", str(objects[-1]))
+    parts = ("libcxxabi/include", "libcxxabi/src", "libcxx/src", "libunwind/include")
+    runtime = (*_TARGET, *_COMMON, "-w", *(f"-I{library / part}" for part in parts))
+    runtime += tuple(f"-D{name}" for name in _RUNTIME)
+    board = (*_FLAGS, *(f"-I{root / part}" for part in _INCLUDES))
+    jobs = [(tag, _TARGET[:3]), (library / "libunwind/src/Unwind-wasm.c", runtime)]
+    for folder, names in _LIBRARY.items():
+        files = [library / folder / "src" / f"{name}.cpp" for name in names.split()]
+        jobs.append((_together(output, folder, files), (*runtime, "-std=c++23")))
+    # Each source reads the same headers, which takes most of the time.
+    folders = defaultdict(list)
+    for source in sources(root):
+        folder = source.parent.relative_to(root).as_posix()
+        if _ALONE.match(f"{folder}/{source.name}"):
+            jobs.append((source, board))
+        else:
+            folders[folder.replace("/", "_")].append(source)
+    jobs += [(_together(output, name, files), board) for name, files in folders.items()]
+    objects = [str(output.with_name(f"{number}.o")) for number in range(len(jobs))]
+
+    def compile_source(source: Path, flags: tuple[str, ...], compiled: str) -> None:
+        _run("c++" if source.suffix == ".cpp" else "cc", *flags, "-c", str(source), "-o", compiled)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(compile_source, *zip(*jobs, strict=True), objects))
     _run(
-        "c++",
-        *_FLAGS,
-        "-mexec-model=reactor",
+        *("c++", *_FLAGS, "-nostdlib++", "-mexec-model=reactor"),
         "-Wl,--export-table,--growable-table,--strip-all,--gc-sections",
-        *(f"-I{root / part}" for part in _INCLUDES),
-        *(str(path) for path in (*sources(root), *objects)),
-        "-o",
-        str(output),
+        *(*objects, "-o", str(output)),
     )
+
+
+def _together(output: Path, name: str, files: Sequence[Path]) -> Path:
+    """Write a source that includes others."""
+    source = output.with_name(f"{name}.cpp")
+    source.write_text("".join(f'#include "{file.as_posix()}"\n' for file in files), encoding="utf-8")
+    return source
 
 
 def _run(*arguments: str) -> None:
@@ -134,13 +155,13 @@ def _wait_for(lock: TextIO) -> None:
 
 def _compiled_once(output: Path, progress: Callable[[str], object]) -> Path:
     """Return the module, compiled if its sources have changed."""
-    # By content: a checkout of another branch and back changes times, and a compilation takes two minutes.
+    # By content: a checkout of another branch and back changes times, and a compilation takes a minute.
     stamp, digest = output.with_suffix(".sha256"), _digest()
     if output.exists() and stamp.exists() and stamp.read_text() == digest:
         return output
     if importlib.util.find_spec("ziglang") is None:
         raise SimError("the compiler for WebAssembly is missing", "pip install ziglang")
-    progress("compiling flight code and emulated Due to WebAssembly; the first time takes two minutes")
+    progress("compiling flight code and emulated Due to WebAssembly; the first time takes a minute")
     compile_board(output)
     stamp.write_text(digest)
     return output

@@ -1,1 +1,0 @@
-"""Claims about the calibration of a rig on its bench."""

@@ -1,1 +1,0 @@
-"""The proofs of the flight code: each holds, each can fail, and the document lists them."""
