@@ -1,4 +1,8 @@
-"""Episodes draw from given ranges; Gymnasium accepts them; they equal plant and board; policies learn."""
+"""Episodes draw from given ranges; Gymnasium accepts them; they equal plant and board; policies learn.
+
+Gymnasium's own checker is the witness of the interface, `Plant.step` of the physics, the board in lockstep
+of the plant alone.
+"""
 
 from __future__ import annotations
 

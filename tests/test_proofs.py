@@ -16,7 +16,7 @@ from heli_test_native import proofs
 from tests.running.kept import KEPT
 from tests.running.long import LONG
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def loaded() -> ModuleType:

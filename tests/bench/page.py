@@ -1,9 +1,15 @@
-"""The live page: how soon a stop acts on the emulated Due, and what the page costs a host that records."""
+"""The live page: how soon a stop acts on the emulated Due, and what the page costs a host that records.
+
+``python -m tests.bench.page HOST PORT TOKEN TABS`` has tabs of a page in a process of their own. It answers
+each line of standard input with one line. ``press`` stops by the socket of the first tab, and gives the time
+before that [s, monotonic]. ``gaps`` gives the number of ticks that the tabs missed.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import random
 import subprocess
 import sys
 import time
@@ -18,9 +24,35 @@ from heli_host.errors import CommandRefused
 from heli_host.fly.recorder import Recorder
 from heli_host.link.telemetry import Ticks
 from heli_host.ui.foxglove_feed import FoxgloveFeed, foxglove_feed
+from heli_host.ui.page.serve import Address
 
 from tests.bench.result import Measured
-from tests.page.page_server import Served, page_of_a_simulated_board
+from tests.page.page_server import Served, SocketPage, page_of_a_simulated_board
+
+
+def missing(page: SocketPage) -> int:
+    """Count the ticks that a tab did not get, of those since the first frame, which may be thinned."""
+    tick = np.concatenate([batch.tick for batch in list(page.rows)[1:]])
+    return int((np.diff(tick) - 1).sum())
+
+
+def main(host: str, port: str, token: str, tabs: str) -> None:
+    """Open tabs and do what is asked, until the input ends."""
+    dice = random.Random(1)
+    pages = [SocketPage(Address(host, int(port), token)) for _ in range(int(tabs))]
+    print("ready", flush=True)
+    for line in sys.stdin:
+        if line.strip() == "press":
+            # Anywhere between two frames, and between two readings of the link.
+            time.sleep(dice.uniform(0.0, 0.1))
+            pressed_s = time.monotonic()
+            pages[0].stop()
+            print(pressed_s, flush=True)
+        else:
+            print(sum(missing(page) for page in pages), flush=True)
+    for page in pages:
+        page.close()
+
 
 PRESSES = 100
 HOVER_S = 20.0
@@ -35,7 +67,7 @@ def tabs(served: Served, count: int) -> Iterator[Callable[[str], str]]:
     address = served.address
     words = [address.host, str(address.port), address.token, str(count)]
     with subprocess.Popen(
-        [sys.executable, "-m", "tests.bench.page_tabs", *words],
+        [sys.executable, "-m", "tests.bench.page", *words],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -211,3 +243,7 @@ def measure_foxglove() -> list[Measured]:
         Measured("foxglove_stop_p99_ms", [float(np.percentile(with_ms, 99))]),
         Measured("foxglove_stop_p99_without_ms", [float(np.percentile(without_ms, 99))]),
     ]
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

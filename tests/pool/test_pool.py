@@ -26,7 +26,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.cli.terminal import Terminal, terminal
-from tests.pool.flights import BY_FLIGHTS, FLIGHTS, normalised_errors, shares_of_one
+from tests.pool.coverage import BY_FLIGHTS, FLIGHTS, normalised_errors, shares_of_one
 from tests.running.long import samples
 
 __all__ = [

@@ -27,7 +27,8 @@ from heli_sim.rig import load_rig, write_rig
 from heli_sim.sil.faults import FaultPlan, Span
 from heli_sim.sil.world import SilWorld
 
-from tests.calibrate.rigs import (
+from tests.cli.terminal import Terminal, refusal, terminal
+from tests.rig.miswired import (
     ALL,
     DEAD_ZONE_V,
     FEW,
@@ -41,7 +42,6 @@ from tests.calibrate.rigs import (
     true_rig,
     wires_found,
 )
-from tests.cli.terminal import Terminal, refusal, terminal
 
 __all__ = ["terminal"]
 

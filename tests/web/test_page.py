@@ -236,7 +236,7 @@ def test_a_hostile_file_gives_one_sentence_and_the_flight_goes_on(
             assert len(words) < 250
             assert name.split(".")[0][:60] in words
             assert tab.evaluate("heliPage.hello.kind") == "simulation", name
-            # Where the machine stalls for seconds, setpoints stop, and that ends the flight: HUNG_MS in worker.js.
+            # If the machine stalls for seconds, setpoints stop, which ends the flight: HUNG_MS in worker.js.
             stalled = "setpoints stopped coming" in (tab.locator("#event-list").text_content() or "")
             assert stalled or tab.evaluate("heliPage.status.state") == 2, name
 
