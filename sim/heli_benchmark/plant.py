@@ -17,6 +17,7 @@ from heli_sim import _native
 from heli_sim.rig import Rig
 
 JOINTS = ("elevation", "pitch", "travel")
+_SITE = mujoco.mjtObj.mjOBJ_SITE
 # MuJoCo requires an inertia of each body; this one is small enough for a point mass.
 _POINT = 'diaginertia="1e-12 1e-12 1e-12"'
 
@@ -146,7 +147,12 @@ class MujocoPlant:
         self._q = np.array([self.physics.joint(name).qposadr[0] for name in JOINTS])
         self._v = np.array([self.physics.joint(name).dofadr[0] for name in JOINTS])
         self._sites = [self.physics.site(name).id for name in ("front", "back")]
-        self._body = self.physics.body("body").id
+        # Views of MuJoCo's memory: to look each up again in every step took a third of a flight's time.
+        self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
+        self._applied_Nm = self.data.qfrc_applied
+        self._up = self.data.xmat[self.physics.body("body").id].reshape(3, 3)[:, 2]
+        self._velocity = np.zeros(6)
+        self._speed_m_s = self._velocity[3:]
         self.parameters: Floats = np.zeros(1)
         self._rest = np.array([np.deg2rad(rig["elevation_min"].value), 0.0, 0.0, 0.0, 0.0, 0.0])
         for effect in self.hidden:
@@ -182,8 +188,8 @@ class MujocoPlant:
         self, state: Sequence[float], volts_V: Sequence[float]
     ) -> tuple[list[float], list[float]]:
         """Simulate one millisecond."""
-        data, volts = self.data, np.array(volts_V)
-        data.qpos[self._q], data.qvel[self._v] = state[:3], state[3:]
+        volts = np.array(volts_V)
+        self._qpos[self._q], self._qvel[self._v] = state[:3], state[3:]
         # The masses in Table 2 of the paper would lift the arm from the table with the motors off, so the
         # arm is held down until the motors run.
         self._is_released = self._is_released or bool(volts.any())
@@ -191,11 +197,11 @@ class MujocoPlant:
             for _ in range(2):
                 self._simulate_step(volts)
         self._time_s += 0.001
-        angles, rates = data.qpos[self._q].copy(), data.qvel[self._v].copy()
+        angles, rates = self._qpos.take(self._q), self._qvel.take(self._v)
         # On the table, elevation stops, and pitch and travel lose 1 % of their rates per millisecond.
         if angles[0] <= self._lowest_rad:
             angles[0], rates = self._lowest_rad, rates * np.array([0.0, 0.99, 0.99])
-        return [*angles, *rates], self.encoder_angles_rad(angles).tolist()
+        return [*angles.tolist(), *rates.tolist()], self.encoder_angles_rad(angles).tolist()
 
     def act(self, at: Moment) -> None:
         """Compute thrusts and torques of a moment from its voltages, hidden effects included."""
@@ -241,32 +247,31 @@ class MujocoPlant:
 
     def _simulate_step(self, volts_V: Floats) -> None:
         """Simulate one step of MuJoCo: half a millisecond."""
-        data = self.data
-        mujoco.mj_kinematics(self.physics, data)
-        mujoco.mj_comPos(self.physics, data)
-        mujoco.mj_comVel(self.physics, data)
-        up = data.xmat[self._body].reshape(3, 3)[:, 2].copy()
-        velocity = np.zeros(6)
+        data, physics, velocity = self.data, self.physics, self._velocity
+        mujoco.mj_kinematics(physics, data)
+        mujoco.mj_comPos(physics, data)
+        mujoco.mj_comVel(physics, data)
+        up = self._up.copy()
         climb = np.empty(2)
         for i, site in enumerate(self._sites):
-            mujoco.mj_objectVelocity(self.physics, data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
-            climb[i] = velocity[3:] @ up
+            mujoco.mj_objectVelocity(physics, data, _SITE, site, velocity, 0)
+            climb[i] = self._speed_m_s.dot(up)
         at = Moment(
             self._time_s,
             self._flight_s,
             volts_V.copy(),
             np.zeros(2),
-            data.qpos[self._q].copy(),
-            data.qvel[self._v].copy(),
+            self._qpos.take(self._q),
+            self._qvel.take(self._v),
             up=up,
             climb_m_s=climb,
         )
         self.act(at)
         for effect in self.hidden:
-            effect.during(at, self.physics)
-        data.ctrl[:] = at.thrust_N
-        data.qfrc_applied[self._v] = at.torque_Nm
-        mujoco.mj_step(self.physics, data)
+            effect.during(at, physics)
+        self._ctrl[:] = at.thrust_N
+        self._applied_Nm[self._v] = at.torque_Nm
+        mujoco.mj_step(physics, data)
         self._flight_s += STEP_S
 
 
