@@ -44,8 +44,7 @@ from heli_sim.model.plant import Plant
 from heli_sim.rig import load_rig, write_rig
 
 from tests.running.long import LONG, samples
-from tests.tune.monte_carlo import faults_of
-from tests.tune.pilot import END_S, SINE_S, demanding_path_deg, flight_metrics, fly
+from tests.tune.monte_carlo import END_S, SINE_S, demanding_path_deg, faults_of, flight_metrics, fly
 
 LAW = cascade_gains_of({spec.name: spec.default for spec in PARAMS})
 
