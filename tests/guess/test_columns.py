@@ -255,6 +255,9 @@ def test_two_angles_are_refused_though_another_column_could_be_the_third(missing
         FlightDataError, match=rf"the only angles are .* three axes; add a column with {missing}"
     ):
         proposed(replace(table, columns=columns))
+    columns[missing] = Column(np.ones(len(table)))
+    with pytest.raises(FlightDataError, match=rf"the only angles are .* because '{missing}' is constant"):
+        proposed(replace(table, columns=columns))
 
 
 @pytest.mark.medium

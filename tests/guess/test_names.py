@@ -37,6 +37,7 @@ from heli_lab.setup.guess.names import (
         ("U_v", "front", ""),
         ("PWM_h", "back", ""),
         ("V_f", "front", ""),
+        ("heli3d/pitch", "pitch", ""),
         ("V_d", "difference", ""),
         ("Pådrag foran", "front", ""),
         ("Nick_ist", "pitch", ""),

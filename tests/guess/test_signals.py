@@ -105,6 +105,12 @@ def test_a_coarse_clock_without_a_name_is_proposed_and_doubted(
     assert "rises in equal steps" in clock.alternative
 
 
+def test_a_clock_without_a_name_may_stand_still() -> None:
+    times: Floats = 0.01 * np.arange(3000.0)
+    times[900:1000] = times[900]
+    assert clock_of(Table("a.csv", {"x": Column(np.sin(times)), "y": Column(times)})).column == "y"
+
+
 def test_a_staircase_is_no_coarse_clock() -> None:
     random = np.random.default_rng(4)
     stairs = {

@@ -96,6 +96,10 @@ LINES = {
     "times with a name": [
         f"timestamp=2024-05-06T{s} x={x} y={y}" for s, x, y in zip(STAMPS, X, Y, strict=True)
     ],
+    "InfluxDB": [
+        f"rig,lab=a x={x},y={y},n\\,\\ s={t},k=5i,m=7i {1_700_000_000_000_000_000 + round(t * 1e9)}"
+        for t, x, y in zip(T_S, X, Y, strict=True)
+    ],
     "JSON": [f'{{"timestamp": {t:.3f}, "x": {x}, "y": {y}}}' for t, x, y in zip(T_S, X, Y, strict=True)],
 }
 
@@ -109,7 +113,8 @@ def test_lines_that_name_their_values_or_their_reception(kind: str, tmp_path: Pa
     assert_same_columns(table, names["x"], names["y"])
     if kind != "serial plotter":
         times = table.columns["timestamp"].values
-        assert times[-1] - times[0] == pytest.approx(T_S[-1], abs=1e-3)
+        unit_s = 1e-9 if kind == "InfluxDB" else 1.0
+        assert unit_s * (times[-1] - times[0]) == pytest.approx(T_S[-1], abs=1e-3)
 
 
 @pytest.mark.parametrize("form", ["{{{}}}", "10:59:01.5 -> {{{}}}", "{}"])
@@ -239,6 +244,11 @@ def test_cells_with_their_units(tmp_path: Path) -> None:
             "name,time,field,value",
             lambda t_s, name, value: f"heli,2024-03-07T09:59:{31.0 + t_s:.3f}Z,{name},{value}",
         ),
+        # With the limits of the request, and the number of the signal.
+        (
+            ",table,_start,_time,_value,_field",
+            lambda t_s, name, value: f",{ord(name)},2024-03-07T09:00:00Z,2024-03-07T09:59:{31.0 + t_s:.3f}Z,{value},{name}",
+        ),
     ],
 )
 def test_one_value_per_row_with_the_name_of_its_signal(
@@ -254,6 +264,13 @@ def test_one_value_per_row_with_the_name_of_its_signal(
     table = read_table(path)
     assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)
+
+
+def test_exponents_of_fortran(tmp_path: Path) -> None:
+    path = tmp_path / "a.dat"
+    body = [f"{t:.6E} {x:.6E} {y:.6E}".replace("E", "D") for t, x, y in zip(T_S, X, Y, strict=True)]
+    path.write_text("\n".join(["t x y", *body]))
+    assert_same_columns(read_table(path))
 
 
 def test_a_header_without_the_name_of_the_row_numbers(tmp_path: Path) -> None:
@@ -384,6 +401,20 @@ def test_a_matrix_of_matlab_in_rows_or_columns(lying: bool, tmp_path: Path) -> N
     savemat(tmp_path / "a.mat", {"ans": matrix.T if lying else matrix})
     table = read_table(tmp_path / "a.mat")
     assert_same_columns(table, "ans[2]", "ans[3]")
+
+
+@pytest.mark.medium
+def test_a_recording_of_dspace(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    signals = np.array(
+        [("x", X[None], "deg"), ("y", Y[None], "V")],
+        dtype=[("Name", object), ("Data", object), ("Unit", object)],
+    )
+    savemat(tmp_path / "a.mat", {"rec": {"X": {"Data": T_S}, "Y": signals}})
+    table = read_table(tmp_path / "a.mat")
+    assert_same_columns(table)
+    assert [table.columns[name].unit for name in "xy"] == ["deg", "V"]
 
 
 @pytest.mark.medium

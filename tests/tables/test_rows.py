@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -306,6 +307,36 @@ def test_rows_that_a_coarse_clock_repeats_are_left_out(length: int, tmp_path: Pa
     assert [len(flight) for flight in conversion.flights] == [N]
     assert actions(conversion) == {"left out", "retimed"}
     assert worst_error(conversion) < 0.05
+
+
+@pytest.mark.parametrize("angles", [slice(2, 5), slice(4, 5)], ids=["all angles", "travel"])
+@pytest.mark.parametrize("stop", [700, N], ids=["returns", "for good"])
+@pytest.mark.parametrize("reports", ["zero", "the last value"])
+def test_values_of_a_plug_that_falls_off_are_left_out(
+    reports: str, stop: int, angles: slice, tmp_path: Path
+) -> None:
+    values = VALUES.copy()
+    values[400:stop, angles] = 0.0 if reports == "zero" else values[400, angles]
+    conversion = converted(tmp_path, lines(T_S, values))
+    (change,) = conversion.changes
+    assert change.rows == stop - 400 - (reports != "zero")
+    assert "stand still" in change.reason
+    assert worst_error(conversion) < 0.01
+
+
+def test_damaged_lines_leave_the_times_of_a_given_rate_alone(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(
+        "\n".join(
+            line.partition(",")[2][: -30 if row == 400 else None].replace("." if row == 800 else "x", "?")
+            + ("\nbrownout" if row == 600 else "")
+            for row, line in enumerate([HEADER, *lines(T_S)])
+        )
+    )
+    stated = replace(profile(), time="", rate_Hz=RATE_Hz)
+    conversion = convert(read_table(tmp_path / "a.csv"), stated)
+    assert worst_error(conversion) < 0.02
+    (flight,) = conversion.flights
+    assert flight.t_s[-1] == pytest.approx(T_S[-1])
 
 
 def test_an_arm_that_rests_on_its_table_is_no_failed_link(tmp_path: Path) -> None:

@@ -60,10 +60,16 @@ _STAND_NEIGHBOURS: Final = 3
 """Step after such a part, as a multiple of the largest of its neighbours on both sides, and of a typical step
 of the file: in the air, and near the lowest elevation, where the table may be. An arm that rests for a moment
 leaves its rest with a step that is smaller than the next ones."""
+_MOVING_SHARE: Final = 0.5
+"""Share of its mean speed with which an angle moves when its link fails for good; an arm that settles is
+slower. Set by judgement: a higher share misses links that fail near a turning point."""
 _OFF_TABLE_DEG: Final = 2.0
 _ALOFT_DEG: Final = 5.0
 """Height above the lowest elevation from which the arm does not rest on the table, and from which it is
 surely in the air [deg]; the table is about 25 deg below level."""
+_HOVER_SHARE: Final = 0.8
+"""Share of the median sum of the voltages from which the arm does not rest at the end of a file. Set by
+judgement: a landed arm has motors that idle or are off."""
 _OFF_SHARE: Final = 0.02
 """Share of the largest voltage below which the motors are off."""
 
@@ -148,7 +154,9 @@ def _settled(table: Table, profile: Profile) -> tuple[Table, Floats]:
     for name in (*angles, *setpoints, *voltages):
         _values_of_column(table, name)
     used = {*angles, *setpoints, *voltages}
-    table = without_unread_rows(table.aligned(angles | setpoints), used, profile.time)
+    table = table.aligned(angles | setpoints)
+    # Without a clock, the number of a row is its time, so that no row may go before.
+    table = without_unread_rows(table, used, profile.time) if profile.time else table
     table, t_s = _timed(table, profile)
     table, t_s = settle_blank_cells(table, t_s, voltages, angles | setpoints, MAX_MISSING)
     if len(table) < MIN_ROWS:
@@ -162,7 +170,7 @@ def _timed(table: Table, profile: Profile) -> tuple[Table, Floats]:
     They keep the start of the file, except that large times, such as seconds since 1970, start at 0.
     """
     if not profile.time:
-        return table, np.arange(len(table)) / profile.rate_Hz
+        return table, table.even_times(profile.rate_Hz)
     _values_of_column(table, profile.time)
     timed = timed_rows(table, profile.time, profile.time_unit)
     # A printed table would lose the microseconds of seconds since 1970.
@@ -298,9 +306,9 @@ def _without_falls(t_s: Floats) -> Floats:
 def _standing(rows: _Rows) -> Booleans:
     """Mark rows that a failed link repeats: an angle stays in the air, although the motors work.
 
-    After such a part, the angle jumps to where the arm has gone meanwhile. At the end of a file, a long part
-    in which all angles stay counts without a jump. A rig may hover still for a moment. The other angles may
-    come by another link.
+    After such a part, the angle jumps to where the arm has gone meanwhile; if the link reports 0, it jumps
+    before the part, too. At the end of a file, a long part in flight counts without a jump if all angles
+    stay, or if one stays that moved just before. A rig may hover still for a moment.
     """
     t_s = rows.t_s
     angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
@@ -309,6 +317,9 @@ def _standing(rows: _Rows) -> Booleans:
     step_rad = np.abs(np.diff(angles, axis=0))
     typical_rad = np.array([np.median(steps[steps > 0.0]) if steps.any() else np.inf for steps in step_rad.T])
     lowest_rad, largest_V = angles[:, 0].min(initial=np.inf), np.abs(volts).max(initial=0.0)
+    aloft_rad, sums_V = lowest_rad + np.radians(_ALOFT_DEG), np.abs(volts.sum(axis=1))
+    hover_V = float(np.median(sums_V))
+    moving_rad = _MOVING_SHARE * _STAND_S * step_rad.sum(axis=0) / max(float(np.ptp(t_s)), _STAND_S)
     for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2], [0], [1], [2]):
         shortest_s = _STAND_S if len(axes) > 1 else _ONE_STAND_S
         runs = np.array(equal_runs(t_s, angles[:, axes]), int).reshape(-1, 2)
@@ -322,15 +333,23 @@ def _standing(rows: _Rows) -> Booleans:
                 continue
             # An arm on its table stands still, too, but leaves it without a large step.
             typical_steps = _STAND_STEPS if height_deg > _OFF_TABLE_DEG else _TABLE_STEPS
-            before = step_rad[max(start - _STAND_NEIGHBOURS, 0) : start]
+            entry = max(start - 1, 0)
+            before = step_rad[max(entry - _STAND_NEIGHBOURS, 0) : entry]
             neighbours = np.concatenate((before, step_rad[stop : stop + _STAND_NEIGHBOURS]))
             usual_rad = np.maximum(
                 _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), typical_steps * typical_rad
             )
-            jumps = stop < t_s.size and bool((step_rad[stop - 1] > usual_rad)[axes].any())
-            ends = stop == t_s.size and len(axes) == len(AXES)
-            if jumps or (ends and length_s > _LONG_STAND_S and height_deg > _ALOFT_DEG):
-                result[start + 1 : stop] = True
+            enters, leaves = (
+                bool((step_rad[row : row + 1] > usual_rad)[:, axes].any()) for row in (start - 1, stop - 1)
+            )
+            ends = stop == t_s.size and length_s > _LONG_STAND_S
+            if ends and len(axes) < len(AXES):
+                earlier = int(np.searchsorted(t_s, t_s[start] - _STAND_S))
+                moved_rad = np.abs(angles[start] - angles[earlier])
+                ends = bool((moved_rad > np.maximum(_STAND_JUMPS * typical_rad, moving_rad))[axes].any())
+            flies = angles[start:, 0].min() > aloft_rad or sums_V[start:].mean() > _HOVER_SHARE * hover_V
+            if enters or leaves or (ends and flies):
+                result[start + (not enters) : stop] = True
     return result
 
 

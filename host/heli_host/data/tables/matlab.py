@@ -54,9 +54,10 @@ def _read_signals(path: Path) -> Table:
     except (FlightDataError, MemoryError):
         raise
     except Exception as error:  # the reader raises whatever a damaged file makes it trip over
+        program = "NumPy" if is_numpy else "Octave" if is_octave_text(path) else "MATLAB"
         raise FlightDataError(
-            f"{path}: not a file of {'NumPy' if is_numpy else 'MATLAB'}, or damaged ({type(error).__name__})",
-            "save arrays of numbers" if is_numpy else "save it again in MATLAB",
+            f"{path}: not a file of {program}, or damaged ({type(error).__name__})",
+            "save arrays of numbers" if is_numpy else f"save it again in {program}",
         ) from error
     columns: dict[str, Column] = {}
     numbers = 0
@@ -137,7 +138,14 @@ def _signals_in(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column
         yield from _columns_of_frame(name, value)
         return
     fields = _fields_of(value)
-    if fields is not None:
+    if fields is not None and np.ndim(value) and "Name" in fields:
+        # Recordings of dSPACE: an array of structures, one per signal.
+        for record in value.ravel()[:_MAX_SIGNALS]:
+            unit = unit_of(_text_of(record["Unit"])) if "Unit" in fields else ""
+            data = next((record[key] for key in _DATA if key in fields), None)
+            for signal_name, column in _signals_in(_text_of(record["Name"]), data, depth + 1):
+                yield signal_name, replace(column, unit=unit)
+    elif fields is not None:
         yield from _signals_of_structure(name, fields, depth)
     elif isinstance(value, np.ndarray) and value.dtype == object:
         for index, element in enumerate(value.ravel()[:_MAX_SIGNALS]):

@@ -79,6 +79,8 @@ class Table:
     changes: tuple[RowChange, ...] = ()  # Rows of the file that were left out or repaired so far
     unread: Mapping[str, str] = field(default_factory=dict)
     """A cell of each column that contains neither numbers nor times, by the column's name."""
+    places: Integers | None = None
+    """(n,): Place of each row in the file, if damaged lines were left out; otherwise None."""
 
     def __len__(self) -> int:
         return max((column.values.size for column in self.columns.values()), default=0)
@@ -86,7 +88,12 @@ class Table:
     def selected(self, rows: Integers, changes: Collection[RowChange]) -> Table:
         """Return the table with these `rows` only, in their order; its `changes` explain the difference."""
         columns = {name: Column(column.values[rows], column.unit) for name, column in self.columns.items()}
-        return replace(self, columns=columns, changes=(*self.changes, *changes))
+        places = None if self.places is None else self.places[rows]
+        return replace(self, columns=columns, changes=(*self.changes, *changes), places=places)
+
+    def even_times(self, rate_Hz: float) -> Floats:
+        """Return the times of the rows [s] if the file has `rate_Hz` rows per second, shape (n,)."""
+        return (np.arange(len(self)) if self.places is None else self.places) / rate_Hz
 
     def aligned(self, interpolated: Collection[str] = ()) -> Table:
         """Bring all columns to the clock of the column with the most rows.
@@ -129,7 +136,7 @@ class Table:
             if column.t_s.size:
                 values = _at_times(column.values, column.t_s, t_s, name in interpolated)
                 columns[name] = Column(values, column.unit)
-        return replace(self, columns=columns, changes=tuple(changes))
+        return replace(self, columns=columns, changes=tuple(changes), places=None)
 
 
 def _at_times(values: Floats, value_times_s: Floats, t_s: Floats, is_interpolated: bool) -> Floats:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from heli_host.data.arrays import Floats
+from heli_host.data.arrays import Floats, Integers
 from heli_host.data.files import read_file
 from heli_host.data.tables.limits import MAX_BYTES, MAX_ROWS, check_columns, too_large
 from heli_host.data.tables.table import TIME_UNITS, Column, RowChange, Table, seconds_of, unit_of
@@ -56,14 +56,16 @@ _THOUSANDS: Final = {
 _GROUPED: Final = r"^[-+]?\d{1,3}(?:([,.])\d{3})(?:\1\d{3})+$"
 """Numbers with the same mark twice or more, as in `1,204,500`: it separates thousands in any dialect."""
 _COMMA_NUMBER: Final = r"^[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?$"
+_FORTRAN_EXPONENT: Final = (r"(?<=\d)[dD](?=[-+]?\d+$)", "e")
 _LABELLED: Final = r"^([^\d+\-.]*)([-+]?\d[\d,.']*(?:[eE][-+]?\d+)?)([^\d]*)$"
 _NAMED_VALUE: Final = re.compile(
-    r"(?<!\d)\"?(?P<name>[^\W\d][\w°./()\[\] -]*?)\"?\s*[:=]\s*"
+    r"(?<![\w=])\"?(?P<name>[^\W\d][\w°./()\[\] -]*?)\"?\s*[:=]\s*"
     r"(?P<value>(?:\d{4}-\d{2}-\d{2}[T ])?\d{1,3}(?::\d{2}){1,2}(?:\.\d+)?"
     r"|(?:\d+h)?\d+m[\d.]+s|[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d+)?|nan)"
-    r"(?:\s?(?P<unit>[A-Za-z°%µ/]{1,8})(?=\s*(?:[,;|\t]|$)))?"
+    r"(?:\s?(?!i,)(?P<unit>[A-Za-z°%µ/]{1,8})(?=\s*(?:[,;|\t]|$)))?"
 )
-"""Value with its name before it, as in `pitch:1.25`, `Front = 3.1 V` or `time=10:02:03.5`."""
+"""Value with its name before it, as in `pitch:1.25`, `Front = 3.1 V` or `time=10:02:03.5`. InfluxDB marks whole
+numbers by an i."""
 _MIN_NAMED: Final = 3
 _MIN_NAMED_SHARE: Final = 0.5
 """Fewest values with names in a line, and smallest share of the lines with the same names."""
@@ -86,6 +88,10 @@ _CHECKSUM: Final = re.compile(r"\*[0-9A-Fa-f]{2}\s*$")
 """End of a sentence as GPS receivers send it, such as `$HELI,1.2,3.4*5A`."""
 _STAMP: Final = re.compile(rf"{_CLOCK_TIME}|(?<=\[)\d+(?:\.\d+)?(?=\])|^\s*\d+(?:\.\d+)?(?=\s*[;,|\t])")
 """Time in front of the values with names, as a clock, in brackets, or as the first cell."""
+_ESCAPED: Final = re.compile(r"\\[ ,]")
+"""Space or comma within a name, as InfluxDB writes them."""
+_LAST_STAMP: Final = re.compile(r"(?<= )\d{10,19}$")
+"""Time behind the values with names, as in the line protocol of InfluxDB: whole units since 1970."""
 _CLOCK_COMMA: Final = re.compile(r"(?<=:\d{2}:\d{2}),(?=\d{3})")
 _TIME_CELL: Final = re.compile(r"^\s*\d+[-/.:]\d+[-/.:][-\d/.:,TZ+ ]*(?:[AaPp][Mm])?\s*$")
 """Time or date in a cell, which a row above a header may have."""
@@ -141,7 +147,7 @@ def read_text(path: Path) -> Table:
     header = header or _commented_header(lines, rows, dialect)
     if dialect.separator == ",":
         rows = _with_points_in_clocks(rows, len(_split_cells(header[-1], dialect)) if header else 0)
-    rows, width, changes = _whole_rows(rows, header, dialect)
+    rows, width, places, changes = _whole_rows(rows, header, dialect)
     check_columns(path, width)
     names, units = _names_and_units(_with_row_name(path, header, rows, dialect, width), dialect, width)
     if stamps:
@@ -163,6 +169,7 @@ def read_text(path: Path) -> Table:
         reason = " ".join(str(error).split())
         raise FlightDataError(f"{path}: not a table ({reason})", "check its quotes and separators") from error
     if len(frame) < len(rows):
+        places = None
         changes.append(RowChange("left out", len(rows) - len(frame), "with unbalanced quotes"))
     columns: dict[str, Column] = {}
     unread: dict[str, str] = {}
@@ -182,9 +189,15 @@ def read_text(path: Path) -> Table:
     labels = [
         frame[index] for index, name in enumerate(names) if name in unread and frame[index].nunique() > 1
     ]
-    if len(labels) == 1 and len(columns) == 2:
-        columns = _signals_by_name(labels[0], columns) or columns
-    return Table(str(path), columns, notes, bool(header), tuple(changes), unread)
+    if len(labels) == 1:
+        # A database exports the number of a signal and the limits of its request, too.
+        varying = {
+            name: column
+            for name, column in columns.items()
+            if pandas.Series(column.values).groupby(labels[0]).nunique().max() > 1
+        }
+        columns = (_signals_by_name(labels[0], varying) if len(varying) == 2 else {}) or columns
+    return Table(str(path), columns, notes, bool(header), tuple(changes), unread, places)
 
 
 def _without_checksums(lines: list[str]) -> list[str]:
@@ -220,22 +233,24 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
     if most_names < _MIN_NAMED or sum(map(bool, sampled)) < _MIN_NAMED_SHARE * len(sampled):
         return lines
     named = [_named_values(line) for line in lines]
-    names_of_lines = [tuple(name for name, _, _ in values) for values in named]
+    names_of_lines = [tuple(name for name, _, _ in values) for _, values in named]
     counts = Counter(names_of_lines)
     complete = [names for names in counts if names and counts[names] >= _MIN_NAMES_SHARE * len(lines)]
     if sum(counts[names] for names in complete) < _MIN_NAMED_SHARE * len(lines):
         return lines
     # The longest list of names shows the order of the columns best.
     order = list(dict.fromkeys(itertools.chain(*sorted(complete, key=len, reverse=True))))
-    units = {name: unit for values in named for name, _, unit in values if unit}
-    starts = [_start_of_names(line) for line in lines]
-    stamps = [_STAMP.search(line[:start]) for line, start in zip(lines, starts, strict=True)]
+    units = {name: unit for _, values in named for name, _, unit in values if unit}
+    stamps = [
+        _STAMP.search(line[:start]) or _LAST_STAMP.search(line)
+        for line, (start, _) in zip(lines, named, strict=True)
+    ]
     has_stamps = sum(stamp is not None for stamp in stamps) > _LABEL_SHARE * len(lines)
     header = [f"{name} [{units[name]}]" if name in units else name for name in order]
     # What a board prints at its start is above the header.
     start = next(index for index, names in enumerate(names_of_lines) if names in complete)
     rows = [*lines[:start], "\t".join([*header, _STAMP_NAME] if has_stamps else header)]
-    for line, values, names, stamp in list(zip(lines, named, names_of_lines, stamps, strict=True))[start:]:
+    for line, (_, values), names, stamp in list(zip(lines, named, names_of_lines, stamps, strict=True))[start:]:
         if names not in complete:
             rows.append(line.replace("\t", " "))
             continue
@@ -248,24 +263,19 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
     return rows
 
 
-def _named_values(line: str) -> list[tuple[str, str, str]]:
-    """Return the values of a line with their names: name, value and unit of each."""
+def _named_values(line: str) -> tuple[int, list[tuple[str, str, str]]]:
+    """Return where the values with names begin in a line, and name, value and unit of each."""
     if (record := _record_in(line)) is not None:
-        return [(name, " ".join(value.split()), "") for name, value in _flat(record)]
+        return line.find("{"), [(name, " ".join(value.split()), "") for name, value in _flat(record)]
     values: list[tuple[str, str, str]] = []
-    for match in _NAMED_VALUE.finditer(line):
+    start = len(line)
+    for match in _NAMED_VALUE.finditer(_ESCAPED.sub(" ", line)):
+        start = min(start, match.start())
         name = match["name"].strip()
         while any(name == other for other, _, _ in values):
             name += "'"
         values.append((name, match["value"].replace(",", "."), match["unit"] or ""))
-    return values
-
-
-def _start_of_names(line: str) -> int:
-    """Return where the named values of a line begin; its end if it has none."""
-    match = _NAMED_VALUE.search(line)
-    brace = line.find("{")
-    return brace if brace >= 0 else match.start() if match else len(line)
+    return start, values
 
 
 def _json_lines(text: str) -> list[str]:
@@ -319,13 +329,14 @@ def _flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, st
 
 def _names_in_row(line: str) -> tuple[str, ...]:
     """Return the names in front of the values of a line."""
-    return tuple(name for name, _, _ in _named_values(line))
+    return tuple(name for name, _, _ in _named_values(line)[1])
 
 
 def _whole_rows(
     rows: list[str], header: list[str], dialect: Dialect
-) -> tuple[list[str], int, list[RowChange]]:
-    """Leave out the rows that are damaged: return the others, the number of columns, and the changes.
+) -> tuple[list[str], int, Integers | None, list[RowChange]]:
+    """Leave out the rows that are damaged: return the others, the number of columns, the places of the rows
+    in the file, if some were left out, and the changes.
 
     A row with another number of cells than the table has lost or gained a separator, so its cells are not in
     their columns. Rows of which many are short by the same number lack only blank cells at their end.
@@ -353,6 +364,7 @@ def _whole_rows(
     usual_sizes = {int(size) for size in sizes[(sizes <= width) & (number > _SHORT_SHARE * counts.size)]}
     is_whole = np.isin(counts, [width, *usual_sizes]) | ((counts == width + 1) & ends)
     changes: list[RowChange] = []
+    places: Integers | None = None
     if not is_whole.all():
         bad = np.flatnonzero(~is_whole)
         changes.append(
@@ -363,7 +375,11 @@ def _whole_rows(
                 f"{int(counts[bad[0]])} {'cell' if counts[bad[0]] == 1 else 'cells'})",
             )
         )
-    return [row for row, whole in zip(rows, is_whole.tolist(), strict=True) if whole], width, changes
+        # Two lines in one are two rows; a line of text, such as an error, is none.
+        is_text = np.array([not _is_value(row.strip(), dialect) for row in rows]) & (counts == 1)
+        sizes = np.where(is_whole, 1, np.where(is_text, 0, np.maximum(np.round(counts / width), 1))).astype(int)
+        places = (np.cumsum(sizes) - 1)[is_whole]
+    return list(itertools.compress(rows, is_whole.tolist())), width, places, changes
 
 
 def _commented_header(lines: list[str], rows: list[str], dialect: Dialect) -> list[str]:
@@ -435,10 +451,11 @@ def numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
 
     values = pandas.to_numeric(cells, errors="coerce").to_numpy(np.float64, copy=True)
     unread = ~np.isfinite(values) & cells.notna().to_numpy()
-    if unread.any() and dialect.decimal == ",":
+    if unread.any():
+        plain = cells[unread].astype(str).str.strip().str.replace(*_FORTRAN_EXPONENT, regex=True)
         # One cell of text, as in a repeated header, keeps pandas from reading the decimal commas of a column.
-        plain = cells[unread].astype(str).str.strip()
-        plain = plain.where(plain.str.match(_COMMA_NUMBER)).str.replace(",", ".")
+        if dialect.decimal == ",":
+            plain = plain.where(plain.str.match(_COMMA_NUMBER)).str.replace(",", ".")
         values[unread] = pandas.to_numeric(plain, errors="coerce").to_numpy(np.float64)
         unread = ~np.isfinite(values) & cells.notna().to_numpy()
     if not unread.any():

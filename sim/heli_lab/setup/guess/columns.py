@@ -39,6 +39,7 @@ from heli_lab.setup.guess.names import (
     ColumnMeaning,
     direction_columns,
     is_time,
+    meaning_of,
     meanings_of,
 )
 from heli_lab.setup.guess.result import DECISIVE_NATS, NOTHING_KNOWN, Ambiguity, KnownEntries
@@ -117,7 +118,7 @@ def prepare_file(
     clock = Clock("", "s", True) if rate_Hz else _clock_of(table, known)
     uncertain_s = 0.0
     if rate_Hz:
-        t_s = np.arange(len(table)) / rate_Hz
+        t_s = table.even_times(rate_Hz)
     else:
         table = without_unread_rows(table, table.columns, clock.column)
         timed = timed_rows(table, clock.column, clock.unit)
@@ -201,7 +202,9 @@ class ColumnOptions:
             return FlightDataError(f"{source}: no column is a motor voltage{detail}", _FIX)
         named_axes = [axis for axis in AXES if axis in self.stated]
         if len(named_axes) == 2 and not all(self.by_role[axis] for axis in AXES):
-            return two_angles_only(source, {axis: self.by_role[axis][0] for axis in named_axes})
+            constant = [f"'{name}' is constant" for name in _constant_angles(self.left_out).values()]
+            angles = {axis: self.by_role[axis][0] for axis in named_axes}
+            return two_angles_only(source, angles, " and ".join(constant))
         columns = ", ".join(self.columns()) or "none"
         missing = [axis for axis in AXES if not self.by_role[axis]]
         missing += ["a motor voltage"] * (not any(self.by_role[role] for role in VOLTAGE_ROLES))
@@ -218,13 +221,13 @@ class ColumnOptions:
         )
 
 
-def two_angles_only(source: str, angles: Mapping[str, str], tried: str = "") -> FlightDataError:
-    """Describe a table with two angles, `angles` by axis; the column `tried` does not move like the third."""
+def two_angles_only(source: str, angles: Mapping[str, str], reason: str = "") -> FlightDataError:
+    """Describe a table with two angles, `angles` by axis; a `reason` rules out the column of the third."""
     (missing,) = (axis for axis in AXES if axis not in angles)
     columns = " and ".join(f"{axis} ({column})" for axis, column in angles.items())
-    but = f", because '{tried}' does not move like {missing}" if tried else ""
+    because = f", because {reason}" if reason else ""
     return FlightDataError(
-        f"{source}: the only angles are {columns}{but}, so this is not a log of a rig with three axes",
+        f"{source}: the only angles are {columns}{because}, so this is not a log of a rig with three axes",
         f"add a column with {missing}; a rig with two axes needs another model than those of heli-host",
     )
 
@@ -249,7 +252,8 @@ def check_third_angle(
     axes = ("pitch", "travel") if unstated == ["pitch"] else unstated
     if min(regressions[axis].log_likelihood_ratio for axis in axes) < DECISIVE_NATS:
         angles = {axis: best.columns[axis] for axis in AXES if axis not in unstated}
-        raise two_angles_only(source, angles, best.columns[unstated[0]])
+        reason = f"'{best.columns[unstated[0]]}' does not move like {unstated[0]}"
+        raise two_angles_only(source, angles, reason)
 
 
 def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> ColumnOptions:
@@ -276,13 +280,20 @@ def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> Column
             continue
         possible = [name for name in free if role in meanings[name].possible_roles]
         if role in AXES:
-            by_role[role] = possible + spare
+            # A name states which column is this angle, although it does not move.
+            by_role[role] = [] if role in _constant_angles(left_out) else possible + spare
         elif not has_voltages and (names_no_voltage or any(named[each] for each in _partners(role))):
             by_role[role] = motors if len(motors) > 1 else possible
         else:
             by_role[role] = []
     stated = frozenset(role for role in ROLES if named[role] and role not in shared)
     return ColumnOptions(by_role, stated, left_out)
+
+
+def _constant_angles(left_out: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns that were left out because they are constant, by the angle that their names state."""
+    meanings = {name: meaning_of(name) for name, reason in left_out.items() if reason == "constant"}
+    return {each.role: name for name, each in meanings.items() if each.role in AXES and not each.quantity}
 
 
 def _partners(role: str) -> tuple[str, str]:

@@ -167,7 +167,8 @@ _OTHER_UNITS: Final = {
     "ms": "a time or a width of pulses",
 }
 """Quantities by units that neither an angle nor a voltage has."""
-_SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?=[a-z])")
+_SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?!(?<=3)d(?![a-z]))(?=[a-z])")
+"""What separates words; the d of 3D, as in ``heli3d/pitch``, is no derivative."""
 _PATH: Final = re.compile(r"[./:]")
 """What separates the name of a signal from the names of the messages or structures that contain it."""
 _INDEX: Final = re.compile(r"\d+")

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
-from heli_host.data.tables import Column, Table
+from heli_host.data.tables import Table
 from heli_host.data.tables.rows import longest_rise, spikes
 from heli_host.data.tables.table import TIME_UNITS, split_unit
 from numpy.typing import NDArray
@@ -149,7 +149,10 @@ def _is_clock(values: Floats, is_named: bool) -> bool:
     # The times of a few rows may be damaged.
     if rows.size < (1.0 - 2.0 * _MAX_UNNAMED_FALLING_SHARE) * values.size:
         return False
-    return _is_on_line(rows, values[rows])
+    # A clock may have stood still.
+    moving = rows[np.diff(values[rows], prepend=-np.inf) != 0.0]
+    is_moving = moving.size >= (1.0 - 2.0 * _MAX_UNNAMED_FALLING_SHARE) * values.size
+    return _is_on_line(rows, values[rows]) or (is_moving and _is_on_line(moving, values[moving]))
 
 
 def _is_coarse_clock(values: Floats) -> bool:
@@ -170,10 +173,10 @@ def _is_coarse_clock(values: Floats) -> bool:
 
 def _is_on_line(rows: Floats | Integers, values: Floats) -> bool:
     """Whether the `values` at some rows are on a straight line. Shapes: `rows` (n,), `values` (n,)."""
-    # A gap is no bend of the line.
-    rises = np.abs(np.diff(values))
-    line = np.cumsum(np.minimum(rises, _MAX_RISE * float(np.median(rises))))
-    return np.ptp(line) > 0.0 and float(np.corrcoef(rows[1:], line)[0, 1]) > _LINEAR
+    # Neither missing rows nor rows at which a clock stood still are a bend of the line.
+    steps = np.abs(np.diff(np.array([rows, values], np.float64), axis=1))
+    along, line = np.cumsum(np.minimum(steps, _MAX_RISE * np.median(steps, axis=1, keepdims=True)), axis=1)
+    return np.ptp(line) > 0.0 and float(np.corrcoef(along, line)[0, 1]) > _LINEAR
 
 
 def _falls_steadily(steps: Floats) -> bool:
@@ -274,8 +277,7 @@ def longest_run(table: Table, t_s: Floats) -> tuple[Table, Floats]:
     if len(edges) == 2:
         return table, t_s
     start, stop = max(itertools.pairwise(edges), key=lambda run: run[1] - run[0])
-    columns = {name: Column(column.values[start:stop], column.unit) for name, column in table.columns.items()}
-    return replace(table, columns=columns), t_s[start:stop]
+    return table.selected(np.arange(start, stop), ()), t_s[start:stop]
 
 
 def _run_start(values: Floats, row: int) -> int:
