@@ -29,6 +29,7 @@ from heli_lab.setup.guess.names import (
         ("logsout.i1_A", "", "a current"),
         ("/rig/i2", "", "a current"),
         ("motor_A", "", ""),
+        ("motorFront_mA[2]", "front", "a current"),
         ("front [A]", "front", "a current"),
         ("Versorgungsspannung", "", "a supply voltage"),
         ("U_bat", "", "a supply voltage"),
@@ -55,6 +56,11 @@ from heli_lab.setup.guess.names import (
 def test_a_name_states_a_role_or_another_quantity(name: str, role: str, quantity: str) -> None:
     meaning = meaning_of(name)
     assert (meaning.role, meaning.quantity) == (role, quantity)
+
+
+def test_a_bar_in_the_row_of_units_states_no_unit_of_an_angle() -> None:
+    assert meaning_of("pitch", "duty").role == "pitch"
+    assert meaning_of("front", "duty").possible_roles == ("front",)
 
 
 def test_a_word_that_all_angles_share_states_none_of_them() -> None:

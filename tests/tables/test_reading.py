@@ -247,7 +247,9 @@ def test_cells_with_their_units(tmp_path: Path) -> None:
         # With the limits of the request, and the number of the signal.
         (
             ",table,_start,_time,_value,_field",
-            lambda t_s, name, value: f",{ord(name)},2024-03-07T09:00:00Z,2024-03-07T09:59:{31.0 + t_s:.3f}Z,{value},{name}",
+            lambda t_s, name, value: (
+                f",{ord(name)},2024-03-07T09:00Z,2024-03-07T09:59:{31.0 + t_s:.3f}Z,{value},{name}"
+            ),
         ),
     ],
 )
@@ -426,6 +428,9 @@ def test_simulinks_structure_with_time(tmp_path: Path) -> None:
     table = read_table(tmp_path / "a.mat")
     assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)
+    both = {"values": np.column_stack((X, Y)), "label": "x, y"}
+    savemat(tmp_path / "a.mat", {"log": {"time": T_S[:, None], "signals": both}})
+    assert_same_columns(read_table(tmp_path / "a.mat"))
 
 
 def test_a_structure_within_a_structure_that_has_the_times(tmp_path: Path) -> None:

@@ -406,10 +406,13 @@ def test_every_row_is_kept_or_reported(
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_blank_cells_keep_their_columns(separator: str, tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
+    # The first row is blank in most of its cells.
     rows = [
-        [f"{t:.2f}", f"{np.sin(t):.4f}", f"{t:.3f}" if i % 4 == 3 else "", "7.5"] for i, t in enumerate(T_S)
+        [f"{t:.2f}", f"{np.sin(t):.4f}", *([f"{t:.3f}" if i % 4 == 3 else ""] * 5), "7.5"]
+        for i, t in enumerate(T_S)
     ]
-    path.write_text("\n".join(separator.join(row) for row in [["t", "x", "slow", "y"], *rows]) + "\n")
+    header = ["t", "x", "slow", *"abcd", "y"]
+    path.write_text("\n".join(separator.join(row) for row in [header, *rows]) + "\n")
     table = read_table(path)
     assert not table.changes
     assert np.isfinite(table.columns["slow"].values).sum() == N // 4

@@ -215,8 +215,11 @@ def _signals_with_times(name: str, value: Any, rows: int) -> Iterator[tuple[str,
         inner = next((fields[key] for key in ("values", "Data", "Data_") if key in fields), None)
         yield from _signals_with_times(label, _unwrapped(inner), rows)
         return
+    # A signal of several lines may list their names.
+    labels = [label.strip() for label in name.split(",")]
     for index, signal, count in _columns_of_array(value, rows):
-        yield (f"{name}[{index + 1}]" if count > 1 else name), signal
+        full_name = labels[index] if len(labels) == count else f"{name}[{index + 1}]"
+        yield (full_name if count > 1 else name), signal
 
 
 def _columns_of_array(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]]:

@@ -233,6 +233,7 @@ _TIGHT_SLASH: Final = re.compile(
 )
 """As in `pitch/deg`, which engineers write. Other short units may be the last part of a path or of a rate."""
 _TAIL: Final = re.compile(r"^(.*[^_\s])[_\s]([^_\s]+)$")
+_MATRIX_INDEX: Final = re.compile(r"(?<=\w)\[\d+\]$")
 _BARE_TAILS: Final = frozenset(
     {
         *(
@@ -270,7 +271,8 @@ def split_unit(name: str) -> tuple[str, str]:
         is_index = match is not None and match.group(2) == "1" and name[len(match.group(1))] in "[({<"
         if match and unit_of(match.group(2)) and not is_index:
             return match.group(1).strip(), unit_of(match.group(2))
-    match = _TAIL.match(name)
+    # The index of a matrix is behind the unit, as in `pitch_deg[2]`.
+    match = _TAIL.match(_MATRIX_INDEX.sub("", name))
     # V_s is a sum of voltages and pitch_v is a speed, so that "s" and "v" are units in some names only.
     is_one_letter_unit = match is not None and (
         (match.group(2) == "s" and match.group(1).lower() in _BEFORE_S) or match.group(2) in ("V", "mA")

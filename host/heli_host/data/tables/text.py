@@ -64,8 +64,8 @@ _NAMED_VALUE: Final = re.compile(
     r"|(?:\d+h)?\d+m[\d.]+s|[-+]?(?:\d+(?:[.,]\d+)?|\.\d+)(?:[eE][-+]?\d+)?|nan)"
     r"(?:\s?(?!i,)(?P<unit>[A-Za-z°%µ/]{1,8})(?=\s*(?:[,;|\t]|$)))?"
 )
-"""Value with its name before it, as in `pitch:1.25`, `Front = 3.1 V` or `time=10:02:03.5`. InfluxDB marks whole
-numbers by an i."""
+"""Value with its name before it, as in `pitch:1.25`, `Front = 3.1 V` or `time=10:02:03.5`. InfluxDB marks
+whole numbers by an i."""
 _MIN_NAMED: Final = 3
 _MIN_NAMED_SHARE: Final = 0.5
 """Fewest values with names in a line, and smallest share of the lines with the same names."""
@@ -250,7 +250,8 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
     # What a board prints at its start is above the header.
     start = next(index for index, names in enumerate(names_of_lines) if names in complete)
     rows = [*lines[:start], "\t".join([*header, _STAMP_NAME] if has_stamps else header)]
-    for line, (_, values), names, stamp in list(zip(lines, named, names_of_lines, stamps, strict=True))[start:]:
+    lines_with_names = list(zip(lines, named, names_of_lines, stamps, strict=True))
+    for line, (_, values), names, stamp in lines_with_names[start:]:
         if names not in complete:
             rows.append(line.replace("\t", " "))
             continue
@@ -377,8 +378,8 @@ def _whole_rows(
         )
         # Two lines in one are two rows; a line of text, such as an error, is none.
         is_text = np.array([not _is_value(row.strip(), dialect) for row in rows]) & (counts == 1)
-        sizes = np.where(is_whole, 1, np.where(is_text, 0, np.maximum(np.round(counts / width), 1))).astype(int)
-        places = (np.cumsum(sizes) - 1)[is_whole]
+        sizes = np.where(is_text, 0, np.maximum(np.round(counts / width), 1)).astype(int)
+        places = (np.cumsum(np.where(is_whole, 1, sizes)) - 1)[is_whole]
     return list(itertools.compress(rows, is_whole.tolist())), width, places, changes
 
 
@@ -531,8 +532,8 @@ def find_dialect(lines: list[str]) -> Dialect | None:
 def _number_share(row: list[str], dialect: Dialect) -> float:
     """Share of numbers in a row. Blank cells count too among numbers, because signals have several rates."""
     numbers = sum(_is_number(cell, dialect) for cell in row)
-    blanks = sum(not cell.strip() for cell in row) if 2 * numbers > len(row) else 0
-    return (numbers + blanks) / len(row)
+    blanks = sum(not cell.strip() for cell in row)
+    return (numbers + blanks * (2 * numbers > len(row) - blanks)) / len(row)
 
 
 def _read_lines(path: Path) -> list[str]:
@@ -585,8 +586,8 @@ def _split_cells(line: str, dialect: Dialect) -> list[str]:
 def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> int:
     """Return the index of the first row of numbers.
 
-    It is as wide as most rows, and at least half of its cells are numbers. No row of names may follow,
-    because headers of LabVIEW contain numbers, too.
+    It is as wide as most rows, and at least half of its cells that are not blank are numbers. No row of names
+    may follow, because headers of LabVIEW contain numbers, too.
     """
     width = statistics.mode(len(_split_cells(line, dialect)) for line in sampled_lines)
     cells = [_split_cells(line, dialect) for line in lines]
@@ -598,7 +599,8 @@ def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> 
     ]
     start = max(name_rows, default=-1) + 1
     for index in range(start, len(lines)):
-        if len(cells[index]) >= width and 2 * numbers[index] >= max(len(cells[index]), 1):
+        filled = sum(bool(cell.strip()) for cell in cells[index])
+        if len(cells[index]) >= width and 2 * numbers[index] >= max(filled, 1):
             return index
     return len(lines)
 

@@ -291,7 +291,7 @@ def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> Column
 
 
 def _constant_angles(left_out: Mapping[str, str]) -> dict[str, str]:
-    """Return the columns that were left out because they are constant, by the angle that their names state."""
+    """Return the columns that were left out because they are constant, by the angle that they name."""
     meanings = {name: meaning_of(name) for name, reason in left_out.items() if reason == "constant"}
     return {each.role: name for name, each in meanings.items() if each.role in AXES and not each.quantity}
 
@@ -740,5 +740,5 @@ def _doubtful_sum(elevation: RegressionFit, best: Assignment, options: ColumnOpt
 
 def stated_unit(table: Table, column: str, valid_units: frozenset[str]) -> str:
     """Return the unit that the header or the name of a `column` states; empty if it is not a valid unit."""
-    unit = table.columns[column].unit or split_unit(column)[1]
-    return unit if unit in valid_units else ""
+    units = (table.columns[column].unit, split_unit(column)[1])
+    return next((unit for unit in units if unit in valid_units), "")

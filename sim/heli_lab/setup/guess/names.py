@@ -279,8 +279,9 @@ def _is_duty(name: str, unit: str) -> bool:
 def meaning_of(name: str, unit: str = "") -> ColumnMeaning:
     """Return what the name of a column, and the `unit` that the file states, mean."""
     words = words_of(name)
-    unit = unit or split_unit(name)[1]
     role = _stated_role(words)
+    # A bar means a share of the supply, or that the unit of an angle is not stated.
+    unit = unit if unit and not (unit == "duty" and role in AXES) else split_unit(name)[1]
     quantity = _OTHER_UNITS.get(unit, "") or _stated_quantity(words, role)
     if not role and _is_current(name):
         quantity = "a current"
