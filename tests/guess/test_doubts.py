@@ -268,3 +268,13 @@ def test_a_rig_that_was_given_is_kept_and_a_better_one_is_a_doubt(monkeypatch: p
     assert "--rig quanser-course" in ambiguity.sentence()
     patch_proposals(monkeypatch, nats | {"makki2024": 49.0}, {"quanser-course": OTHER})
     assert all(item.sure for item in guess_by_rigs(TABLES, given).guesses)
+
+
+def test_counts_per_turn_of_a_rig_that_the_user_has_not_named_are_a_doubt(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    nats = {"makki2024": 10.0, "makki2024-identified": 0.0, "quanser-course": 50.0}
+    counted = replace(PROFILE, angles={**PROFILE.angles, "travel": Angle("travel", "count", 8192.0)})
+    patch_proposals(monkeypatch, nats, {"quanser-course": counted})
+    assert "travel 8192, or others" in guess_by_rigs(TABLES).guesses[0].ambiguities[-1].sentence()
+    assert all(item.sure for item in guess_by_rigs(TABLES, load_rig("quanser-course")).guesses)

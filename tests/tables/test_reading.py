@@ -420,6 +420,17 @@ def test_a_recording_of_dspace(tmp_path: Path) -> None:
 
 
 @pytest.mark.medium
+def test_matrices_with_the_same_times_in_their_first_columns(tmp_path: Path) -> None:
+    from scipy.io import savemat
+
+    pairs = {"x": np.column_stack((T_S, X)), "y": np.column_stack((T_S, Y))}
+    savemat(tmp_path / "a.mat", pairs)
+    table = read_table(tmp_path / "a.mat")
+    assert_same_columns(table, "x[2]", "y[2]")
+    assert set(table.columns) == {"time", "x[2]", "y[2]"}
+
+
+@pytest.mark.medium
 def test_simulinks_structure_with_time(tmp_path: Path) -> None:
     from scipy.io import savemat
 

@@ -49,10 +49,12 @@ _SPIKE_RATIO: Final = 5.0
 their limit are at most some three times as large as usual."""
 _STAND_S: Final = 0.3
 _ONE_STAND_S: Final = 0.5
+_LAST_STAND_S: Final = 1.0
 _LONG_STAND_S: Final = 2.0
-"""Shortest part [s] in which a failed link repeats angles: two or all with a jump after it, one angle with a
-jump after it, and all at the file's end. A hovering simulation without disturbances may repeat its counts for
-a second."""
+_STAND_RATIO: Final = 4.0
+"""Shortest part [s] in which a failed link repeats angles: two or all with a jump, one angle with a jump, at
+the file's end angles that moved just before, and there all, or one that stays this much longer than before. A
+hovering simulation without disturbances may repeat its counts for a second."""
 _STAND_JUMPS: Final = 2.0
 _STAND_STEPS: Final = 3.0
 _TABLE_STEPS: Final = 10.0
@@ -307,8 +309,8 @@ def _standing(rows: _Rows) -> Booleans:
     """Mark rows that a failed link repeats: an angle stays in the air, although the motors work.
 
     After such a part, the angle jumps to where the arm has gone meanwhile; if the link reports 0, it jumps
-    before the part, too. At the end of a file, a long part in flight counts without a jump if all angles
-    stay, or if one stays that moved just before. A rig may hover still for a moment.
+    before the part, too. At the end of a file, a long part in flight counts without a jump. A rig may hover
+    still for a moment.
     """
     t_s = rows.t_s
     angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
@@ -324,9 +326,10 @@ def _standing(rows: _Rows) -> Booleans:
         shortest_s = _STAND_S if len(axes) > 1 else _ONE_STAND_S
         runs = np.array(equal_runs(t_s, angles[:, axes]), int).reshape(-1, 2)
         lengths_s = t_s[runs[:, 1] - 1] - t_s[runs[:, 0]]
-        # Most runs are two rows in the air, so the long ones are chosen first.
-        is_long = lengths_s >= shortest_s
-        for (start, stop), length_s in zip(runs[is_long].tolist(), lengths_s[is_long], strict=True):
+        # Most runs are two rows in the air, so the long ones are chosen first, and the longest is the first.
+        runs, lengths_s = runs[lengths_s >= shortest_s], lengths_s[lengths_s >= shortest_s]
+        order = np.argsort(-lengths_s, kind="stable")
+        for (start, stop), length_s in zip(runs[order].tolist(), lengths_s[order], strict=True):
             height_deg = float(np.degrees(angles[start, 0] - lowest_rad))
             is_driven = np.abs(volts[start:stop]).max() >= _OFF_SHARE * largest_V
             if not is_driven:
@@ -339,16 +342,22 @@ def _standing(rows: _Rows) -> Booleans:
             usual_rad = np.maximum(
                 _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), typical_steps * typical_rad
             )
+            # The jump at the end of such a part says nothing of the rows beyond it.
             enters, leaves = (
-                bool((step_rad[row : row + 1] > usual_rad)[:, axes].any()) for row in (start - 1, stop - 1)
+                bool((step_rad[row : row + 1] > usual_rad)[:, axes].any()) and not result[beyond]
+                for row, beyond in ((start - 1, entry), (stop - 1, min(stop, t_s.size - 1)))
             )
-            ends = stop == t_s.size and length_s > _LONG_STAND_S
-            if ends and len(axes) < len(AXES):
-                earlier = int(np.searchsorted(t_s, t_s[start] - _STAND_S))
-                moved_rad = np.abs(angles[start] - angles[earlier])
-                ends = bool((moved_rad > np.maximum(_STAND_JUMPS * typical_rad, moving_rad))[axes].any())
-            flies = angles[start:, 0].min() > aloft_rad or sums_V[start:].mean() > _HOVER_SHARE * hover_V
-            if enters or leaves or (ends and flies):
+            is_last = False
+            if stop == t_s.size and length_s > _LAST_STAND_S:
+                moved_rad = np.abs(angles[start] - angles[np.searchsorted(t_s, t_s[start] - _STAND_S)])
+                moved = bool((moved_rad > np.maximum(_STAND_JUMPS * typical_rad, moving_rad))[axes].any())
+                others_s = lengths_s[runs[:, 1] < stop]
+                is_long = length_s > _LONG_STAND_S and (
+                    len(axes) == len(AXES) or (others_s.size and length_s > _STAND_RATIO * others_s.max())
+                )
+                flies = angles[start:, 0].min() > aloft_rad or sums_V[start:].mean() > _HOVER_SHARE * hover_V
+                is_last = flies and bool(moved or is_long)
+            if enters or leaves or is_last:
                 result[start + (not enters) : stop] = True
     return result
 

@@ -72,10 +72,21 @@ def _read_signals(path: Path) -> Table:
         raise FlightDataError(
             f"{path}: the file has no signals of at least {_MIN_ROWS} rows", "save the logged signals in it"
         )
+    columns = _with_one_time(columns)
     clocked = [column for column in columns.values() if column.t_s is not None]
     if clocked and len(clocked) < len(columns):
         columns = _with_shared_times(columns, clocked[0])
     return Table(str(path), columns)
+
+
+def _with_one_time(columns: dict[str, Column]) -> dict[str, Column]:
+    """Keep one of the equal times that QUARC writes into the first column of each matrix, as ``pitch[1]``."""
+    times = [name for name in columns if name.endswith("[1]") and np.all(np.diff(columns[name].values) > 0.0)]
+    same = [name for name in times if np.array_equal(columns[name].values, columns[times[0]].values)]
+    if len(same) < 2:
+        return columns
+    others = {name: column for name, column in columns.items() if name not in same}
+    return {_free_name("time", others): columns[same[0]], **others}
 
 
 def _loaded(path: Path) -> Mapping[str, Any]:

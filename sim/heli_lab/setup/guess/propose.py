@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.tables import Angle, Profile, Table, Voltage, flights_of, profile_text
-from heli_host.data.tables.table import SHARES
+from heli_host.data.tables.table import COUNT, SHARES
 from heli_host.errors import FlightDataError, HeliError
 from heli_sim.rig import Rig, load_rig, rig_names
 
@@ -173,6 +173,8 @@ def guess_by_rigs(
     progress(1.0 - 1.0 / work_steps)
     guesses = check_by_simulation(proposals[chosen], longest_parts[chosen], rigs[chosen])
     evidence, ambiguities = _compare_with_second(proposals, chosen, is_given=rig is not None)
+    if rig is None:
+        ambiguities += _unknown_counts(proposals[chosen].profile, chosen, known)
     guesses = [
         replace(each, evidence=(*evidence, *each.evidence), ambiguities=(*ambiguities, *each.ambiguities))
         for each in guesses
@@ -200,6 +202,19 @@ def _compare_with_second(
         return evidence, []
     reason = f"it fits {comparison}, with other units or columns; if it is your rig, give --rig {second}"
     return evidence, [Ambiguity("the rig", chosen, second, reason)]
+
+
+def _unknown_counts(profile: Profile, rig_name: str, known: KnownEntries) -> list[Ambiguity]:
+    """Report counts per turn that come from a rig file which the user has not named."""
+    counts = [
+        f"{axis} {angle.counts:g}"
+        for axis, angle in profile.angles.items()
+        if angle.unit == COUNT and "counts" not in known.entries.get(axis, {})
+    ]
+    reason = (
+        f"these are those of rig {rig_name}, and the motion shows them only roughly; give your rig with --rig"
+    )
+    return [Ambiguity("the encoders' counts", ", ".join(counts), "others", reason)] if counts else []
 
 
 def propose(
