@@ -203,7 +203,7 @@ class ColumnOptions:
         named_axes = [axis for axis in AXES if axis in self.stated]
         if len(named_axes) == 2 and not all(self.by_role[axis] for axis in AXES):
             constant = [f"'{name}' is constant" for name in _constant_angles(self.left_out).values()]
-            angles = {axis: self.by_role[axis][0] for axis in named_axes}
+            angles: dict[str, str] = {axis: self.by_role[axis][0] for axis in named_axes}
             return two_angles_only(source, angles, " and ".join(constant))
         columns = ", ".join(self.columns()) or "none"
         missing = [axis for axis in AXES if not self.by_role[axis]]
