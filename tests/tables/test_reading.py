@@ -75,6 +75,10 @@ LINES = {
         "ready",
         *(f"[INFO] [{t + 1e9:.4f}] [heli]: n={t} x={x} y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),
     ],
+    "ESP-IDF": [
+        "I (29) boot: ready",
+        *(f"I ({t:.3f}) heli: n={t} x={x} y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),
+    ],
     "brackets": [
         "[10:58:59.900] x,y",
         *(f"[{s}] {x},{y}" for s, x, y in zip(STAMPS, X, Y, strict=True)),

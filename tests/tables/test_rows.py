@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
 from heli_host.data.tables import Angle, Column, Conversion, Profile, Table, Voltage, convert, read_table
-from heli_host.data.tables.rows import timed_rows
+from heli_host.data.tables.rows import spikes, timed_rows
 from heli_host.errors import FlightDataError
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -322,6 +322,23 @@ def test_values_of_a_plug_that_falls_off_are_left_out(
     assert change.rows == stop - 400 - (reports != "zero")
     assert "stand still" in change.reason
     assert worst_error(conversion) < 0.01
+
+
+def test_an_arm_that_rests_after_a_gap_or_beside_a_failed_link_is_no_failed_link(tmp_path: Path) -> None:
+    # Travel rests from row 600 to 680: a gap of 2 s ends there, or all angles read 0 until then.
+    values = VALUES.copy()
+    values[600:, 4] = values[np.maximum(np.arange(600, N) - 80, 600), 4]
+    after_gap = np.delete(np.arange(N), slice(400, 600))
+    assert not converted(tmp_path, lines(T_S[after_gap], values[after_gap])).changes
+    values[400:600, 2:] = 0.0
+    (change,) = converted(tmp_path, lines(T_S, values)).changes
+    assert change.rows == 200
+
+
+def test_one_damaged_value_of_an_angle_that_hardly_moves_is_a_spike() -> None:
+    values: Floats = np.round(0.003 * np.arange(1500.0))
+    values[700] = 1e6
+    assert np.flatnonzero(spikes(values)).tolist() == [700]
 
 
 def test_damaged_lines_leave_the_times_of_a_given_rate_alone(tmp_path: Path) -> None:

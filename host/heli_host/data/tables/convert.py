@@ -316,7 +316,10 @@ def _standing(rows: _Rows) -> Booleans:
     angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
     volts = np.column_stack(list(rows.voltages_V.values()))
     result = np.zeros(t_s.size, bool)
-    step_rad = np.abs(np.diff(angles, axis=0))
+    steps_s = np.diff(t_s)
+    # Across a gap, an arm in motion jumps, too.
+    is_gap = steps_s > MAX_MISSING * np.median(steps_s)
+    step_rad = np.where(is_gap[:, None], 0.0, np.abs(np.diff(angles, axis=0)))
     typical_rad = np.array([np.median(steps[steps > 0.0]) if steps.any() else np.inf for steps in step_rad.T])
     lowest_rad, largest_V = angles[:, 0].min(initial=np.inf), np.abs(volts).max(initial=0.0)
     aloft_rad, sums_V = lowest_rad + np.radians(_ALOFT_DEG), np.abs(volts.sum(axis=1))

@@ -693,7 +693,8 @@ def spikes(values: Floats) -> Booleans:
     if values.size < _MIN_TIMES:
         return result
     steps = np.abs(np.diff(values))
-    typical = float(np.quantile(steps, 0.95))
+    # A slow angle at a high rate stays in most rows.
+    typical = float(np.quantile(steps, 0.95)) or float(np.median(steps[steps > 0.0])) if steps.any() else 0.0
     is_spike = np.minimum(steps[:-1], steps[1:]) > _SPIKE_STEPS * typical
     is_spike &= np.abs(values[2:] - values[:-2]) <= 3.0 * typical
     if typical > 0.0 and is_spike.sum() < _MAX_SPIKES * values.size:

@@ -86,7 +86,7 @@ _RECEIVED: Final = re.compile(
 the first cell of a row with another separator."""
 _CHECKSUM: Final = re.compile(r"\*[0-9A-Fa-f]{2}\s*$")
 """End of a sentence as GPS receivers send it, such as `$HELI,1.2,3.4*5A`."""
-_STAMP: Final = re.compile(rf"{_CLOCK_TIME}|(?<=\[)\d+(?:\.\d+)?(?=\])|^\s*\d+(?:\.\d+)?(?=\s*[;,|\t])")
+_STAMP: Final = re.compile(rf"{_CLOCK_TIME}|(?<=[\[(])\d+(?:\.\d+)?(?=[\])])|^\s*\d+(?:\.\d+)?(?=\s*[;,|\t])")
 """Time in front of the values with names, as a clock, in brackets, or as the first cell."""
 _ESCAPED: Final = re.compile(r"\\[ ,]")
 """Space or comma within a name, as InfluxDB writes them."""

@@ -214,7 +214,7 @@ def _unknown_counts(profile: Profile, rig_name: str, known: KnownEntries) -> lis
     reason = (
         f"these are those of rig {rig_name}, and the motion shows them only roughly; give your rig with --rig"
     )
-    return [Ambiguity("the encoders' counts", ", ".join(counts), "others", reason)] if counts else []
+    return [Ambiguity("the scale of the encoders", ", ".join(counts), "others", reason)] if counts else []
 
 
 def propose(

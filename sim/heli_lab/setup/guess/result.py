@@ -34,7 +34,7 @@ _ENTRIES: Final = {
     "travel's unit": "travel.unit",
     "the voltages' unit": "voltages.unit",
     "the supply voltage": "voltages.supply_V",
-    "the encoders' counts": "elevation.counts",
+    "the scale of the encoders": "elevation.counts",
     "the scale of elevation": "elevation.unit",
     "the scale of pitch": "pitch.unit",
     "the scale of travel": "travel.unit",
