@@ -377,9 +377,9 @@ def _whole_rows(
             )
         )
         # Two lines in one are two rows; a line of text, such as an error, is none.
-        is_text = np.array([not _is_value(row.strip(), dialect) for row in rows]) & (counts == 1)
-        sizes = np.where(is_text, 0, np.maximum(np.round(counts / width), 1)).astype(int)
-        places = (np.cumsum(np.where(is_whole, 1, sizes)) - 1)[is_whole]
+        lengths = np.maximum(np.round(counts / width), 1).astype(int)
+        lengths[[row for row in bad if counts[row] == 1 and not _is_value(rows[row].strip(), dialect)]] = 0
+        places = (np.cumsum(np.where(is_whole, 1, lengths)) - 1)[is_whole]
     return list(itertools.compress(rows, is_whole.tolist())), width, places, changes
 
 
