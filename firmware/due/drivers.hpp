@@ -6,7 +6,11 @@
 #include <cstdint>
 
 #include "board.hpp"
-#include "core.hpp"
+
+// Declared, not included: a proof includes this header with registers that are variables.
+namespace heli {
+struct TickTiming;
+}
 
 // Functions that the vector table contains.
 extern "C" {

@@ -1,6 +1,7 @@
 // Two channels of timer block TC1: one makes the tick's interrupt, the other measures time.
 #include <cstdint>
 
+#include "core.hpp"
 #include "cortex_m3.hpp"
 #include "drivers.hpp"
 #include "link/declaration.hpp"
