@@ -324,6 +324,13 @@ def test_values_of_a_plug_that_falls_off_are_left_out(
     assert worst_error(conversion) < 0.01
 
 
+def test_zeros_of_a_plug_that_falls_off_before_the_end_are_left_out(tmp_path: Path) -> None:
+    values = VALUES[:440].copy()
+    values[400:, 2:] = 0.0
+    (change,) = converted(tmp_path, lines(T_S[:440], values)).changes
+    assert change.rows == 40
+
+
 def test_an_arm_that_rests_after_a_gap_or_next_to_a_failed_link_is_no_failed_link(tmp_path: Path) -> None:
     # Travel rests from row 600 to 680: a gap of 2 s ends there, or all angles read 0 until then.
     values = VALUES.copy()
