@@ -123,6 +123,12 @@ def test_a_staircase_is_no_coarse_clock() -> None:
         assert not clock_of(Table("a.csv", {"x": Column(values)})).column, name
 
 
+def test_the_newest_row_may_be_the_first_and_some_times_damaged() -> None:
+    times: Floats = 20.0 * np.arange(1700.0)[::-1]
+    times[50::100] = 7.0
+    assert clock_of(Table("a.csv", {"timestamp (ms)": Column(times)})).unit == "ms"
+
+
 def test_the_newest_row_may_be_the_first_and_twice_in_the_file() -> None:
     falling: Floats = 30.0 - 0.05 * np.sort(np.concatenate((np.arange(200.0), np.arange(0.0, 200.0, 20.0))))
     clock = clock_of(Table("a.csv", {"timestamp": Column(falling, "s")}))

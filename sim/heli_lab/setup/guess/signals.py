@@ -180,9 +180,9 @@ def _is_on_line(rows: Floats | Integers, values: Floats) -> bool:
 
 
 def _falls_steadily(steps: Floats) -> bool:
-    """Whether the newest row comes first; steps of 0 do not count."""
+    """Whether the newest row comes first; steps of 0 do not count, and a few times may be damaged."""
     falls, rises = int((steps < 0.0).sum()), int((steps > 0.0).sum())
-    return falls > _MIN_RISING_SHARE * (falls + rises)
+    return falls > (1.0 - _MAX_UNNAMED_FALLING_SHARE) * (falls + rises)
 
 
 def _mean_step(values: Floats) -> float:
