@@ -253,9 +253,7 @@ def test_a_range_that_the_second_flight_contradicts_is_not_stated(monkeypatch: p
     result = shares(monkeypatch, on_fitted=3.0)
     assert all(of_axis.larger_where is None for of_axis in result.axes.values())
     unresolved, sentence = error_share_sentences(result, "unexplained")
-    assert unresolved.endswith(
-        "is significant, but forecasts do not show how much of the disturbances it is"
-    )
+    assert unresolved.endswith("is significant, but forecasts do not show how much of the disturbances it is")
     assert sentence == "No range of voltage, angle or rate has significantly larger errors in judged.csv"
     assert error_share_sentences(result, "cause_found") == []
 
