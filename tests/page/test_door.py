@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -25,6 +26,7 @@ from heli_host.data.log.reader import read_log
 
 from tests.page.hostile_requests import ARGUMENTS, FAR, UPGRADE, status_of_request
 from tests.page.page_server import (
+    PATIENCE_S,
     SHORT_PLAN,
     Served,
     SocketPage,
@@ -58,6 +60,15 @@ def replayed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Address]:
         yield address
 
 
+def pilot_page(served: Served) -> SocketPage:
+    """Open the page that flies; again, if the server has not yet seen that its last tab was closed."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not (page := SocketPage(served.address, PILOT)).flies:
+        page.close()
+        assert time.monotonic() < end_s, "the server never saw that the pilot's last tab was closed"
+    return page
+
+
 def until_next_status(page: SocketPage) -> None:
     """Wait for two more statuses: the first may have been on its way."""
     before = sum("status" in words for words in list(page.words))
@@ -65,7 +76,7 @@ def until_next_status(page: SocketPage) -> None:
 
 
 def test_every_action_refuses_what_is_no_finite_number(served: Served) -> None:
-    with SocketPage(served.address, PILOT) as page, SocketPage(served.address) as other, log_lines() as lines:
+    with pilot_page(served) as page, SocketPage(served.address) as other, log_lines() as lines:
         for action, arguments in ARGUMENTS.items():
             for argument in arguments or ("extra",):
                 for text in NOT_FINITE:
@@ -83,7 +94,7 @@ def test_every_action_refuses_what_is_no_finite_number(served: Served) -> None:
 
 
 def test_an_id_that_cannot_be_answered_is_refused(served: Served) -> None:
-    with SocketPage(served.address, PILOT) as page:
+    with pilot_page(served) as page:
         for number in (*NOT_FINITE, "[[]]", "true", f'"{"x" * 101}"'):
             page.socket.send(f'{{"do": "hold", "id": {number}}}')
         page.until(lambda: sum("error" in words for words in page.words) == len(NOT_FINITE) + 3)
@@ -92,7 +103,7 @@ def test_an_id_that_cannot_be_answered_is_refused(served: Served) -> None:
 
 
 def test_a_take_off_to_nowhere_arms_nothing(served: Served) -> None:
-    with SocketPage(served.address, PILOT) as page:
+    with pilot_page(served) as page:
         for elevation_deg in (90.0, -90.0, 1e308):
             assert "outside the board's limits" in page.ask("take_off", elevation_deg=elevation_deg)["error"]
         until_next_status(page)
@@ -110,7 +121,7 @@ def test_a_status_that_cannot_be_written_is_logged_once_and_sent_later(
     def fails(cockpit: Cockpit) -> dict[str, Any]:
         raise KeyError("a defect")
 
-    with SocketPage(served.address, PILOT) as page, log_lines() as lines:
+    with pilot_page(served) as page, log_lines() as lines:
         extra: dict[str, Any] = {"twin": {"ghost_rad": [math.nan, 0.0]}}
         monkeypatch.setattr(Cockpit, "status", odd)
         page.until(lambda: page.known["status"]["twin"] == {"ghost_rad": [None, 0.0]})
@@ -139,7 +150,7 @@ def test_a_client_whose_frames_cannot_be_sent_is_disconnected_and_the_others_go_
         return pack(*arguments)
 
     with (
-        SocketPage(served.address, PILOT) as first,
+        pilot_page(served) as first,
         SocketPage(served.address) as second,
         log_lines() as lines,
     ):
@@ -154,7 +165,7 @@ def test_a_client_whose_frames_cannot_be_sent_is_disconnected_and_the_others_go_
 
 
 def test_frames_carry_the_state_even_without_rows(served: Served) -> None:
-    with SocketPage(served.address, PILOT) as page:
+    with pilot_page(served) as page:
         page.until(lambda: bool(page.rows))
         until_next_status(page)
         assert page.rows[-1].state == page.known["status"]["state"] == 0
@@ -185,7 +196,7 @@ def requests(draw: st.DrawFn) -> dict[str, Any]:
 def test_any_request_is_answered_once_and_none_fails_inside(
     served: Served, wishes: list[dict[str, Any]]
 ) -> None:
-    with SocketPage(served.address, PILOT) as page, log_lines() as lines:
+    with pilot_page(served) as page, log_lines() as lines:
         for number, wish in enumerate(wishes, 1):
             page.socket.send(json.dumps({**wish, "do": wish["do"], "id": number}))
         for number in range(1, len(wishes) + 1):
