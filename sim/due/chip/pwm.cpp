@@ -1,4 +1,4 @@
-// Channels, synchronous updates, overrides and faults of the PWM controller; see pwm.hpp.
+// Registers, channels, synchronous updates, overrides and faults of the PWM controller: pwm.hpp.
 #include "chip/pwm.hpp"
 
 #include <algorithm>

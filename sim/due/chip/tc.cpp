@@ -1,4 +1,4 @@
-// The block of three channels: its registers, its pins and the decoder; see tc.hpp.
+// The block of three channels with its registers, pins and decoder, and the channels; see tc.hpp.
 #include "chip/tc.hpp"
 
 #include <algorithm>

@@ -8,21 +8,6 @@ using ops::Alu;
 using ops::Mode;
 using ops::Op2;
 
-namespace {
-
-// The `bits` bits of `w` from bit `low` on.
-std::uint32_t field(std::uint32_t w, unsigned low, unsigned bits) {
-  return (w >> low) & ((1U << bits) - 1U);
-}
-
-// Widens a two's complement number of `bits` bits to 32.
-std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
-  const std::uint32_t sign = 1U << (bits - 1);
-  return (value ^ sign) - sign;
-}
-
-}  // namespace
-
 // Chooses the table by the upper four bits (A5.2).
 void Decoder::decode16(std::uint32_t w) {
   switch (w >> 12) {

@@ -1,5 +1,5 @@
-// 32-bit Thumb encodings. Each function decodes one table of
-// the ARMv7-M manual (A5.3); `hw1` and `hw2` are the instruction's first and second halfword.
+// 32-bit Thumb encodings. Each function decodes one table of the ARMv7-M manual (A5.3); `hw1` and
+// `hw2` are the instruction's first and second halfword.
 #include "cpu/decoder.hpp"
 
 namespace due_emulator {
@@ -9,17 +9,6 @@ using ops::Mode;
 using ops::Op2;
 
 namespace {
-
-// The `bits` bits of `w` from bit `low` on.
-std::uint32_t field(std::uint32_t w, unsigned low, unsigned bits) {
-  return (w >> low) & ((1U << bits) - 1U);
-}
-
-// Widens a two's complement number of `bits` bits to 32.
-std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
-  const std::uint32_t sign = 1U << (bits - 1);
-  return (value ^ sign) - sign;
-}
 
 // SP and PC, which most 32-bit encodings forbid as a register.
 bool bad(std::uint32_t reg) { return reg == 13 || reg == 15; }

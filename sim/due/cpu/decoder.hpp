@@ -13,6 +13,17 @@
 
 namespace due_emulator {
 
+// The `bits` bits of `w` from bit `low` on.
+inline std::uint32_t field(std::uint32_t w, unsigned low, unsigned bits) {
+  return (w >> low) & ((1U << bits) - 1U);
+}
+
+// Widens a two's complement number of `bits` bits to 32.
+inline std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
+  const std::uint32_t sign = 1U << (bits - 1);
+  return (value ^ sign) - sign;
+}
+
 class Decoder {
  public:
   // `it` is ITSTATE in front of the instruction at `address`.

@@ -1,4 +1,4 @@
-// Reads and writes of the system control space: NVIC, SCB and debug registers; see scs.hpp.
+// The system control space: NVIC, SCB, SysTick and debug registers; see scs.hpp.
 #include "cpu/scs.hpp"
 
 // Registers of the system control space by their names in the ARMv7-M manual (B3.2 to B3.4, C1.6

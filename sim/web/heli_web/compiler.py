@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
-import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -47,8 +46,8 @@ _RUNTIME: Final = (
     *("_LIBUNWIND_HIDE_SYMBOLS", "_LIBUNWIND_HAS_NO_THREADS"),
 )
 """Macros for these parts."""
-_ALONE: Final = re.compile("sim/due/(chip/|cpu/decode)")
-"""Sources that define the same names, such as those of registers; other folders are compiled in one piece."""
+_ALONE: Final = "sim/due/chip"
+"""Folder of sources that define the same names of registers; other folders are compiled in one piece."""
 _TAG: Final = ".globl __cpp_exception\n.tagtype __cpp_exception i32\n__cpp_exception:\n"
 
 
@@ -91,7 +90,7 @@ def _compile(output: Path, root: Path, library: Path) -> None:
     folders = defaultdict(list)
     for source in sources(root):
         folder = source.parent.relative_to(root).as_posix()
-        if _ALONE.match(f"{folder}/{source.name}"):
+        if folder == _ALONE:
             jobs.append((source, board))
         else:
             folders[folder.replace("/", "_")].append(source)
