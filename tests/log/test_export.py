@@ -105,16 +105,16 @@ const {readFileSync} = require('fs');
   };
   const decompressHandlers = {zstd: (packed) => decompress(packed)};
   const reader = await McapIndexedReader.Initialize({readable, decompressHandlers});
-  const decoders = new Map(), found = {profile: reader.header.profile};
+  const decoders = new Map(), content = {profile: reader.header.profile};
   for await (const message of reader.readMessages()) {
     const channel = reader.channelsById.get(message.channelId);
     if (!decoders.has(channel.id)) {
       const text = Buffer.from(reader.schemasById.get(channel.schemaId).data).toString();
       decoders.set(channel.id, new MessageReader(parse(text, {ros2: true})));
     }
-    (found[channel.topic] ||= []).push(decoders.get(channel.id).readMessage(message.data));
+    (content[channel.topic] ||= []).push(decoders.get(channel.id).readMessage(message.data));
   }
-  console.log(JSON.stringify(found));
+  console.log(JSON.stringify(content));
 })();
 """
 
