@@ -87,17 +87,15 @@ def read_seal(path: Path) -> Seal:
 
 def causes_content() -> dict[str, Any]:
     """Return the causes by name, as the causes file has them."""
-    kinds, content = catalogue(), {}
+    specs, content = catalogue(), {}
+    meanings = {NOTHING: "nothing is hidden", UNLISTED: "a cause that this list does not have"}
     for name, rate in base_rates().items():
-        meaning = {NOTHING: "nothing is hidden", UNLISTED: "a cause that this list does not have"}.get(name)
-        spec = None if meaning else kinds[name]
-        content[name] = {
-            "base_rate": round(rate, 6),
-            "meaning": meaning if spec is None else spec.equation,
-            "parameters": {}
-            if spec is None
-            else {quantity.name: quantity.unit for quantity in spec.parameters},
-        }
+        if name in meanings:
+            meaning, units = meanings[name], {}
+        else:
+            meaning = specs[name].equation
+            units = {quantity.name: quantity.unit for quantity in specs[name].parameters}
+        content[name] = {"base_rate": round(rate, 6), "meaning": meaning, "parameters": units}
     return content
 
 

@@ -157,7 +157,9 @@ class CauseContribution:
 
 
 def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, float]:
-    """Return the standard deviations by which each cause exceeds the disturbances of the training flight."""
+    """Return the standard deviations by which each cause exceeds the disturbances of a training flight. Only
+    the part of a cause counts that no other cause and no error of a parameter can imitate.
+    """
     names = [*(name for name, _ in case.effects), *(f"off-{name}" for name, _ in case.unlisted)]
     if not names:
         return {}
@@ -167,14 +169,17 @@ def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, fl
     with_all = ReplayedRig(rig, case.hidden(0))
     forces = with_all.forces(trajectory)
     acceleration = with_all.accelerations(trajectory, forces)
-    causes = []
-    for i in range(len(names)):
-        effects = case.hidden(0)
-        rig_without_cause = ReplayedRig(rig, [*effects[:i], *effects[i + 1 :]])
-        forces_without = rig_without_cause.forces(trajectory) if acts_by_itself(effects[i]) else forces
-        difference = acceleration - rig_without_cause.accelerations(trajectory, forces_without)
+
+    def contribution(cause: int) -> CauseContribution:
+        """Subtract a replay without this cause from the replay with all."""
+        effects = case.hidden(0)  # Effects may have a memory, so each replay gets new ones.
+        without_cause = ReplayedRig(rig, [*effects[:cause], *effects[cause + 1 :]])
+        forces_without = without_cause.forces(trajectory) if acts_by_itself(effects[cause]) else forces
+        difference = acceleration - without_cause.accelerations(trajectory, forces_without)
         encoder_error_rad = forces.encoder_rad - forces_without.encoder_rad
-        causes.append(CauseContribution(linearised.torque(difference, FINE), encoder_error_rad))
+        return CauseContribution(linearised.torque(difference, FINE), encoder_error_rad)
+
+    causes = [contribution(cause) for cause in range(len(names))]
     others = imitators(rig, trajectory, forces, linearised)
     innovations = linearised.innovations([*causes, *others])
     return {name: residual_norm(innovations, i, len(causes)) for i, name in enumerate(names)}

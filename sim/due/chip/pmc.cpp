@@ -308,9 +308,9 @@ void Pmc::write_plla(std::uint32_t value) {
 
 // UPLL makes 480 MHz of the crystal's 12; UPLLCOUNT counts eight periods of the slow clock each.
 void Pmc::write_upll(std::uint32_t value) {
-  const bool was_on = (upll_ & kUpllEn) != 0;
+  const bool was_on = (upll_ & kUpllEn) != 0, is_on = (value & kUpllEn) != 0;
   upll_ = value;
-  if ((value & kUpllEn) == 0) {
+  if (!is_on) {
     if ((system_clocks_ & kUsbClock) != 0 && (usb_ & kUsbs) != 0) {
       misuse(kUckr, "UPLL is switched off while the USB clock runs from it");
     }
@@ -321,8 +321,8 @@ void Pmc::write_upll(std::uint32_t value) {
     if ((main_oscillator_ & kMoscXtEn) == 0 || system_.board_now() < crystal_steady_) {
       misuse(kUckr, "UPLL is switched on before the 12 MHz crystal runs, which it multiplies");
     }
-    const std::uint64_t startup = 8 * ((value >> 20) & 0xFU);
-    upll_ready_ = system_.board_now() + system_.slow_periods(startup + 1);
+    const std::uint64_t upllcount = (value >> 20) & 0xFU;
+    upll_ready_ = system_.board_now() + system_.slow_periods(8 * upllcount + 1);
     upll_steady_ = system_.board_now() + kUpllStart;
   }
   plan();

@@ -202,11 +202,12 @@ void Cpu::resume_at(std::uint32_t address, std::uint8_t it) {
 // because its conditions are known only in the copy.
 void Cpu::forget_flash_code() {
   flush_ = false;
-  const bool executing = memory_.windows[0].holds(ip_) || memory_.windows[1].holds(ip_);
+  // The first two windows are those of the flash.
+  const bool in_flash = memory_.windows[0].holds(ip_) || memory_.windows[1].holds(ip_);
   const std::uint32_t address = pc();
-  const std::uint8_t it = ip_->it;
+  const std::uint8_t it_state = ip_->it;
   memory_.forget_flash_code();
-  if (executing && it != 0) resume_at(address, it);
+  if (in_flash && it_state != 0) resume_at(address, it_state);
 }
 
 void Cpu::set_flash_wait_states(std::uint32_t count) {

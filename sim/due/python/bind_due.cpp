@@ -62,20 +62,25 @@ const char* halt_name(Halt halt) {
   return kNames[static_cast<std::size_t>(halt)];
 }
 
-// Memory for a debugger, as bytes. What cannot be read gives zeros and no fault. Peripherals (from
-// 0x40000000 on) are read in words, if address and size allow it.
+// Bytes of one access by a debugger: peripherals (from 0x40000000 on) are accessed in words, if
+// address and size allow it.
+std::uint32_t access_bytes(std::uint32_t address, std::size_t size) {
+  return address >= 0x40000000 && address % 4 == 0 && size % 4 == 0 ? 4 : 1;
+}
+
+// Memory for a debugger, as bytes. What cannot be read gives zeros and no fault.
 nb::bytes peek(Due& due, std::uint32_t address, std::uint32_t size) {
   System& system = due.chip.system;
   std::vector<std::uint8_t> data(size);
-  const bool words = address >= 0x40000000 && address % 4 == 0 && size % 4 == 0;
-  for (std::uint32_t i = 0; i < size; i += words ? 4 : 1) {
+  const std::uint32_t step = access_bytes(address, size);
+  for (std::uint32_t i = 0; i < size; i += step) {
     std::uint32_t value = 0;
     try {
-      value = system.bus.read(address + i, words ? 4 : 1);
+      value = system.bus.read(address + i, step);
     } catch (const Fault&) {
     } catch (const Stop&) {
     }
-    for (std::uint32_t k = 0; k < (words ? 4U : 1U); ++k) {
+    for (std::uint32_t k = 0; k < step; ++k) {
       data[i + k] = static_cast<std::uint8_t>(value >> (8 * k));
     }
   }
@@ -86,20 +91,20 @@ nb::bytes peek(Due& due, std::uint32_t address, std::uint32_t size) {
 void poke(Due& due, std::uint32_t address, const nb::bytes& data) {
   System& system = due.chip.system;
   const std::uint8_t* from = bytes_of(data);
-  const bool words = address >= 0x40000000 && address % 4 == 0 && data.size() % 4 == 0;
-  for (std::uint32_t i = 0; i < data.size(); i += words ? 4 : 1) {
+  const std::uint32_t step = access_bytes(address, data.size());
+  for (std::uint32_t i = 0; i < data.size(); i += step) {
     const std::uint32_t offset = address + i - kFlashBase;
-    if (offset < kFlashSize) {
+    if (offset < kFlashSize) {  // Below the flash, the unsigned difference is larger than any offset.
       system.memory.flash[offset] = from[i];
       system.cpu.flush_flash_code();
       continue;
     }
     std::uint32_t value = 0;
-    for (std::uint32_t k = 0; k < (words ? 4U : 1U); ++k) {
+    for (std::uint32_t k = 0; k < step; ++k) {
       value |= std::uint32_t{from[i + k]} << (8 * k);
     }
     try {
-      system.bus.write(address + i, value, words ? 4 : 1);
+      system.bus.write(address + i, value, step);
     } catch (const Fault&) {
       throw std::invalid_argument("nothing can be written at " + hex(address + i));
     }

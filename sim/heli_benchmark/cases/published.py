@@ -132,12 +132,15 @@ def base_rates() -> dict[str, float]:
 
 def _draw_case(name: str, draw: Draw) -> PublishedCase:
     """Draw conditions, causes and sizes of a case."""
+    # The order of the draws determines the published cases.
     conditions, kind = draw.rng(1), draw.kind
     on_quanser = bool(conditions.random() < _ON_QUANSER)
     weak = bool(conditions.random() < _WEAKLY_EXCITED)
     disturbances, factor = _draw_disturbances(conditions)
-    training = conditions.choice(_TRAINING_s, int(conditions.choice([1, 2, 3], p=[0.6, 0.25, 0.15])))
-    validation = conditions.choice(_VALIDATION_s, int(conditions.choice([1, 2], p=[0.7, 0.3])))
+    training_count = int(conditions.choice([1, 2, 3], p=[0.6, 0.25, 0.15]))
+    training = conditions.choice(_TRAINING_s, training_count)
+    validation_count = int(conditions.choice([1, 2], p=[0.7, 0.3]))
+    validation = conditions.choice(_VALIDATION_s, validation_count)
     rate_Hz, controller = int(conditions.choice(RATES_Hz)), str(conditions.choice(CONTROLLERS))
     truth = draw.rng(2)
     effects = _draw_listed_causes(truth, _LISTED_COUNT[kind], on_quanser, weak)
@@ -151,18 +154,18 @@ def _draw_case(name: str, draw: Draw) -> PublishedCase:
         return typical * (1.0 if cause in _LATE else factor) * float(truth.uniform(0.75, 1.3))
 
     return PublishedCase(
-        name,
-        tuple((cause, size(cause, SIZES[cause])) for cause in effects),
-        tuple((cause, size(cause, DISTURBED[cause][1])) for cause in unlisted),
-        int(draw.rng(3).integers(1 << 31)),
-        tuple(MAKERS[cause] for cause in (*effects, *unlisted)),
-        QUANSER_RIG if on_quanser else PAPER_RIG,
-        rate_Hz,
-        weak,
-        controller,
-        disturbances,
-        tuple(map(float, training)),
-        tuple(map(float, validation)),
+        name=name,
+        effects=tuple((cause, size(cause, SIZES[cause])) for cause in effects),
+        unlisted=tuple((cause, size(cause, DISTURBED[cause][1])) for cause in unlisted),
+        seed=int(draw.rng(3).integers(1 << 31)),
+        makers=tuple(MAKERS[cause] for cause in (*effects, *unlisted)),
+        rig_name=QUANSER_RIG if on_quanser else PAPER_RIG,
+        rate_Hz=rate_Hz,
+        gentle=weak,
+        controller=controller,
+        disturbances=disturbances,
+        training_s=tuple(map(float, training)),
+        validation_s=tuple(map(float, validation)),
         draw=draw,
     )
 

@@ -205,19 +205,27 @@ def _best_shift(flight: ImportedFlight, truth: ImportTruth, rows: Floats, shifts
 
 
 def _shift_scores(flight: ImportedFlight, truth: ImportTruth, rows: Floats, shifts_s: Floats) -> Floats:
-    """Return the sum of the angles' correlations at each time of the truth minus that of the flight."""
-    scores = np.zeros(shifts_s.size)
-    # Slow motion carries no information about the time.
+    """Return how well the imported flight agrees with the truth if the truth's clock is ahead by each of
+    `shifts_s`: the sum over the angles of the correlation between their changes.
+    """
+    # Slow motion carries no information about the time, therefore changes are compared and not angles.
     change_s = min(_CHANGE_S, 0.25 * float(np.ptp(flight.t_s)))
-    later = np.searchsorted(flight.t_s, flight.t_s[rows] + change_s)
-    rows, later = rows[later < flight.t_s.size], later[later < flight.t_s.size]
-    times_s = flight.t_s[np.array([rows, later])]
+    later_rows = np.searchsorted(flight.t_s, flight.t_s[rows] + change_s)
+    in_flight = later_rows < flight.t_s.size
+    rows, later_rows = rows[in_flight], later_rows[in_flight]
+    begin_s, end_s = flight.t_s[rows], flight.t_s[later_rows]
+    scores = np.zeros(shifts_s.size)
     for axis in AXES:
         samples = truth.samples[axis]
-        imported = flight.columns[axis][later] - flight.columns[axis][rows]
+        imported_change = flight.columns[axis][later_rows] - flight.columns[axis][rows]
         for index, shift_s in enumerate(shifts_s):
-            before, after = np.interp(times_s + shift_s, samples.t_s, samples.values)
-            true = after - before
-            size = float(np.linalg.norm(true) * np.linalg.norm(imported))
-            scores[index] += abs(float(true @ imported)) / size if size > 0.0 else 0.0
+            true_end = np.interp(end_s + shift_s, samples.t_s, samples.values)
+            true_change = true_end - np.interp(begin_s + shift_s, samples.t_s, samples.values)
+            scores[index] += _correlation(true_change, imported_change)
     return scores
+
+
+def _correlation(a: Floats, b: Floats) -> float:
+    """Return the absolute cosine similarity of two vectors; 0 if one of them is 0."""
+    norms = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return abs(float(a @ b)) / norms if norms > 0.0 else 0.0

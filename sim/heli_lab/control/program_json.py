@@ -95,10 +95,8 @@ def _check_and_convert(content: Mapping[str, Any]) -> LawProgram:
 def law_of_program(program: LawProgram) -> Law:
     """Return the law that a program computes, to linearise it or run it with numpy."""
     inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
-    states, parameters = (
-        ca.SX.sym(kind, len(values))
-        for kind, values in (("states", program.states), ("parameters", program.parameters))
-    )
+    states = ca.SX.sym("states", len(program.states))
+    parameters = ca.SX.sym("parameters", len(program.parameters))
     # The board's memory before the first instruction.
     first_cells = [
         *ca.vertsplit(inputs),
@@ -109,15 +107,7 @@ def law_of_program(program: LawProgram) -> Law:
     cells: dict[int, ca.SX] = dict(enumerate(first_cells))
     try:
         for instruction in program.instructions:
-            if instruction.code == CODE[SUM]:
-                products = (
-                    (-1.0 if term.negative else 1.0) * cells[term.first] * cells[term.second]
-                    for term in instruction.terms
-                )
-                cells[instruction.target] = sum(products, ca.SX(0.0))
-            else:
-                function_of_operation = _FUNCTION_OF_OPERATION[OPERATIONS[instruction.code].name]
-                cells[instruction.target] = function_of_operation(*(cells[cell] for cell in instruction.read))
+            cells[instruction.target] = _result_of(instruction, cells)
         results = [cells[cell] for cell in program.outputs]
     except KeyError as error:
         raise BadLaw(
@@ -126,14 +116,21 @@ def law_of_program(program: LawProgram) -> Law:
     output_count = FIXED_OUTPUTS + len(program.signals)
     outputs, new_states = results[:output_count], results[output_count:]
     function = casadi_function(inputs, states, parameters, outputs, new_states)
-    return Law(
-        program.name,
-        program.rate_Hz,
-        function,
-        dict(program.states),
-        dict(program.parameters),
-        program.signals,
+    start_states, parameter_values = dict(program.states), dict(program.parameters)
+    return Law(program.name, program.rate_Hz, function, start_states, parameter_values, program.signals)
+
+
+def _result_of(instruction: Instruction, cells: Mapping[int, ca.SX]) -> ca.SX:
+    """Return the value that an instruction computes from the cells that it reads."""
+    if instruction.code != CODE[SUM]:
+        function = _FUNCTION_OF_OPERATION[OPERATIONS[instruction.code].name]
+        result: ca.SX = function(*(cells[cell] for cell in instruction.read))
+        return result
+    products = (
+        (-1.0 if term.negative else 1.0) * cells[term.first] * cells[term.second]
+        for term in instruction.terms
     )
+    return sum(products, ca.SX(0.0))
 
 
 def _check_list(value: Any) -> list[Any]:

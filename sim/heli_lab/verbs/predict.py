@@ -17,6 +17,9 @@ from heli_lab import fit_inputs as option
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from heli_sim.model import Model
+    from heli_sim.rig import Rig
+
     from heli_lab.watch.forecast import Forecasts, HorizonErrors
 
 
@@ -86,6 +89,7 @@ def predict(
         if baseline is None
         else option.model_of(baseline_rig, effect_files=effect_file or ())
     )
+    # A rig without effects is its own baseline, unless another is given.
     has_baseline = baseline is not None or bool(model.effects)
     with WorkBar() as bar:
         bar.show("reading", 0.0)
@@ -94,16 +98,15 @@ def predict(
         bar.show("voltages between the rows", 0.05)
         (flown,), slow_log_notes = acting_flights(model, loaded_rig, [flown], [label], loop_rate_Hz)
 
-        def forecast(name: str, share: float) -> Forecasts:
-            """Forecast with the rig or with the baseline."""
-            equations, parameters = (model, loaded_rig) if name == "rig" else (baseline_model, baseline_rig)
+        def forecast(equations: Model, parameters: Rig, name: str, share: float) -> Forecasts:
+            """Forecast with a model; the bar shows `name`, beginning with this `share` of the work."""
             bar.show(f"disturbances of the {name}", share)
             disturbances = learn_disturbances(equations, parameters, flown, label)
             bar.show(f"forecasts of the {name}", share + 0.1)
             return forecasts_of(equations, parameters, disturbances, flown, label, (start_s, stop_s))
 
-        forecasts = forecast("rig", 0.1)
-        baseline_forecasts = forecast("baseline", 0.5) if has_baseline else None
+        forecasts = forecast(model, loaded_rig, "rig", 0.1)
+        baseline_forecasts = forecast(baseline_model, baseline_rig, "baseline", 0.5) if has_baseline else None
         rows = horizon_errors(forecasts, baseline_forecasts)
     baseline_name = baseline or (f"{rig} without its effects" if has_baseline else None)
     say(*slow_log_notes, *_table(forecasts, rows, rig, baseline_name))

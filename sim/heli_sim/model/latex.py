@@ -7,6 +7,7 @@ so that a name of several letters is not read as a product.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -359,41 +360,31 @@ _OPERATIONS: Final[Mapping[int, Callable[[_Writer, ca.SX], _BoundText]]] = {
 }
 
 
-def _operands_of(expression: ca.SX) -> Iterable[ca.SX]:
-    """Return the operands of the last operation in an expression."""
-    return (
-        ()
-        if expression.is_constant() or expression.is_symbolic()
-        else (expression.dep(i) for i in range(expression.n_dep()))
-    )
+def _operands_of(expression: ca.SX) -> list[ca.SX]:
+    """Return the operands of the last operation in an expression; none of a constant or a symbol."""
+    if expression.is_constant() or expression.is_symbolic():
+        return []
+    return [expression.dep(i) for i in range(expression.n_dep())]
 
 
 def _repeated_parts(roots: Iterable[ca.SX]) -> set[int]:
     """Return the hashes of subexpressions that occur more than once and are large enough for a name."""
-    occurrences: dict[int, int] = {}
+    occurrences = Counter[int]()
     operation_counts: dict[int, int] = {}
-    signed: set[int] = set()  # an expression with only a sign or a factor 2 in front needs no name
+    large: set[int] = set()
 
     def visit(expression: ca.SX) -> int:
-        """Count the operations of an expression, and how often each of its parts occurs."""
+        """Count each occurrence of an expression and of its parts, and return its number of operations."""
         key = expression.element_hash()
-        occurrences[key] = occurrences.get(key, 0) + 1
-        if (
-            not expression.is_constant()
-            and not expression.is_symbolic()
-            and expression.op() in (ca.OP_NEG, ca.OP_TWICE)
-        ):
-            signed.add(key)
+        occurrences[key] += 1
         if key not in operation_counts:
-            operation_counts[key] = (
-                0
-                if expression.is_constant() or expression.is_symbolic()
-                else 1 + sum(map(visit, _operands_of(expression)))
-            )
+            operands = _operands_of(expression)
+            operation_counts[key] = (1 if operands else 0) + sum(map(visit, operands))
+            # The part behind a sign or a factor of 2 gets the name.
+            if operation_counts[key] >= _MIN_OPERATIONS and expression.op() not in (ca.OP_NEG, ca.OP_TWICE):
+                large.add(key)
         return operation_counts[key]
 
     for root in roots:
         visit(root)
-    return {
-        key for key, count in occurrences.items() if count > 1 and operation_counts[key] >= _MIN_OPERATIONS
-    } - signed
+    return {key for key in large if occurrences[key] > 1}

@@ -274,6 +274,7 @@ def _effects_of_table(path: Path, table: object) -> dict[str, dict[str, Number]]
             f"rig file {path}: effects must hold one table for each effect", "write [effects.NAME.NUMBER]"
         )
     for name, numbers in table.items():
+        # If the level NUMBER is missing, the fields of a number stand in its place.
         if not isinstance(numbers, dict) or any(field in numbers for field in _FIELDS):
             raise RigError(
                 f"rig file {path}: effect {name} has no tables",

@@ -194,9 +194,10 @@ def _say_board_differences(rig: str, board: Mapping[str, float]) -> list[RigDiff
     differences = rig_differences(stated.values, board, simulated=False, directed=stated.directed)
     texts = [str(difference) for difference in differences] or ["the board's parameters fit"]
     say(*(f"{rig}: {text}" for text in texts))
-    undirected = [axis for axis in AXES if f"{axis}_counts_per_rev" not in stated.directed]
-    if undirected:
-        say(f"{rig}: states no encoder direction of {', '.join(undirected)}: signs not compared")
+    axes_without_direction = [axis for axis in AXES if f"{axis}_counts_per_rev" not in stated.directed]
+    if axes_without_direction:
+        axes_text = ", ".join(axes_without_direction)
+        say(f"{rig}: states no encoder direction of {axes_text}: signs not compared")
     return differences
 
 

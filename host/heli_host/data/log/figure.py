@@ -114,9 +114,10 @@ def _subtitle(summary: FlightSummary) -> str:
     ]
     if summary.board:
         phrases.append(summary.board)
-    numbers = "   ·   ".join([*phrases, *summary.notes])
-    abort_reason = [] if summary.completed or ":" not in summary.outcome else [summary.outcome]
-    return "\n".join(line for text in (*abort_reason, numbers) for line in textwrap.wrap(text, 150))
+    paragraphs = ["   ·   ".join([*phrases, *summary.notes])]
+    if ":" in summary.outcome:
+        paragraphs.insert(0, summary.outcome)  # The headline lacks the reason behind the colon.
+    return "\n".join(line for paragraph in paragraphs for line in textwrap.wrap(paragraph, 150))
 
 
 def _count_text(link: Mapping[str, int], name: str, noun: str) -> str:

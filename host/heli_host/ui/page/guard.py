@@ -80,22 +80,32 @@ class FrameCounter:
         self._head = b""
 
     def count(self, data: bytes, most: float) -> int:
-        """Return how many frames begin in the next bytes of the stream."""
-        # `most`: Counting ends with the first frame above this number; the stream must not be used
-        # afterwards.
+        """Return how many frames begin in the next bytes of the stream. Counting ends with the first frame
+        above `most`; the stream must not be used afterwards.
+        """
         data = self._head + data
-        at, frames = self._payload_left, 0
-        while at + 2 <= len(data) and frames <= most:
-            short = data[at + 1] & 0x7F
-            extended = {126: 2, 127: 8}.get(short, 0)
-            if at + 2 + extended > len(data):
-                break
-            length = int.from_bytes(data[at + 2 : at + 2 + extended]) if extended else short
-            mask = 4 if data[at + 1] & 0x80 else 0
-            at += 2 + extended + mask + length
+        frame_begin, frames = self._payload_left, 0
+        while frames <= most and (length := _frame_length(data, frame_begin)) is not None:
+            frame_begin += length
             frames += 1
-        self._payload_left, self._head = max(at - len(data), 0), data[at:]
+        self._payload_left, self._head = max(frame_begin - len(data), 0), data[frame_begin:]
         return frames
+
+
+def _frame_length(data: bytes, begin: int) -> int | None:
+    """Return the bytes of the WebSocket frame at `begin`; None if the length in its header is incomplete."""
+    # RFC 6455, 5.2: The second byte is a mask bit and a length. A length of 126 or 127 means that the length
+    # follows in 2 or 8 bytes. A mask of 4 bytes follows the length.
+    length_begin = begin + 2
+    if length_begin > len(data):
+        return None
+    is_masked, payload_length = data[begin + 1] & 0x80, data[begin + 1] & 0x7F
+    length_end = length_begin + {126: 2, 127: 8}.get(payload_length, 0)
+    if length_end > len(data):
+        return None
+    if length_end > length_begin:
+        payload_length = int.from_bytes(data[length_begin:length_end])
+    return length_end - begin + (4 if is_masked else 0) + payload_length
 
 
 class Meter:

@@ -153,14 +153,13 @@ def with_plan_setpoints(program: LawProgram) -> LawProgram:
 def score_of_trial(trial: LawTrial) -> FlightScore:
     """Compute the score of a flight: errors of both axes, and the metrics of its largest setpoint step."""
     elevation, _, travel = responses(trial.flight)
-    step_response = max(
-        elevation,
-        travel,
-        key=lambda response: 0.0 if math.isnan(response.step_deg) else abs(response.step_deg),
-    )
-    unsettled_s = math.nan if math.isnan(step_response.step_deg) else math.inf
+    with_steps = [response for response in (elevation, travel) if not math.isnan(response.step_deg)]
+    step_response = max(with_steps, key=lambda response: abs(response.step_deg), default=elevation)
+    settling_s = step_response.settling_s
+    if with_steps and math.isnan(settling_s):
+        settling_s = math.inf  # The response did not settle.
     return FlightScore(
-        settling_s=unsettled_s if math.isnan(step_response.settling_s) else step_response.settling_s,
+        settling_s=settling_s,
         overshoot_percent=step_response.overshoot_percent,
         elevation_rms_deg=elevation.rms_deg,
         travel_rms_deg=travel.rms_deg,
@@ -176,7 +175,7 @@ def grade(
     fly: FlyTrial,
     plant: LinearPlant | None = None,
 ) -> LawGrade:
-    """Fly a law on each rig with each seed, and grade it."""
+    """Fly a law on each rig with each seed, and grade it; without `program`, the board's own law."""
     scores: list[FlightScore] = []
     first_flight: Flight | None = None
     try:
