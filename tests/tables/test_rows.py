@@ -324,6 +324,28 @@ def test_values_of_a_plug_that_falls_off_are_left_out(
     assert worst_error(conversion) < 0.01
 
 
+def test_a_link_that_reports_zeros_in_all_columns_is_left_out(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    values[400:490] = 0.0
+    (change,) = converted(tmp_path, lines(T_S, values)).changes
+    assert (change.action, change.rows) == ("left out", 90)
+
+
+def test_a_link_that_freezes_is_left_out_although_no_angle_jumps(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    # The arm turns slowly, and jumps by no more than at other times.
+    values[:, 2:] = (
+        values[0, 2:] + 0.05 * (values[:, 2:] - values[0, 2:]) + np.linspace(0.0, 20.0, N)[:, None]
+    )
+    values[400:550] = values[400]
+    values[550:, 2:] += values[400, 2:] - values[550, 2:]
+    (change,) = converted(tmp_path, lines(T_S, values)).changes
+    assert (change.action, change.rows) == ("left out", 149)
+    settled = values.copy()
+    settled[380:400, :2] = values[400, :2]
+    assert actions(converted(tmp_path, lines(T_S, settled))) == set()
+
+
 def test_zeros_of_a_plug_that_falls_off_before_the_end_are_left_out(tmp_path: Path) -> None:
     values = VALUES[:440].copy()
     values[400:, 2:] = 0.0

@@ -15,6 +15,7 @@ from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.data.tables.profile import MOTORS, Angle, Part, Profile, Voltage
 from heli_host.data.tables.rows import (
     equal_runs,
+    is_active,
     runs_of,
     settle_blank_cells,
     spikes,
@@ -51,10 +52,12 @@ _STAND_S: Final = 0.3
 _ONE_STAND_S: Final = 0.5
 _LAST_STAND_S: Final = 1.0
 _LONG_STAND_S: Final = 2.0
+_FROZEN_S: Final = 1.0
 _STAND_RATIO: Final = 4.0
 """Shortest part [s] in which a failed link repeats angles: two or all with a jump, one angle with a jump, at
-the file's end angles that moved just before, and there all, or one that stays this much longer than before. A
-hovering simulation without disturbances may repeat its counts for a second."""
+the file's end angles that moved just before, and there all, or one that stays this much longer than before;
+and all columns without a jump. A hovering simulation without disturbances may repeat its counts for a second.
+"""
 _STAND_JUMPS: Final = 2.0
 _STAND_STEPS: Final = 3.0
 _TABLE_STEPS: Final = 10.0
@@ -309,8 +312,8 @@ def _standing(rows: _Rows) -> Booleans:
     """Mark rows that a failed link repeats: an angle stays in the air, although the motors work.
 
     After such a part, the angle jumps to where the arm has gone meanwhile; if the link reports 0, it jumps
-    before the part, too. At the end of a file, a long part in flight counts without a jump. A rig may hover
-    still for a moment.
+    before the part, too. If the voltages freeze with the angles, a jump is not necessary. At the end of a
+    file, a long part in flight counts without a jump. A rig may hover still for a moment.
     """
     t_s = rows.t_s
     angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
@@ -335,7 +338,8 @@ def _standing(rows: _Rows) -> Booleans:
         for (start, stop), length_s in zip(runs[order].tolist(), lengths_s[order], strict=True):
             height_deg = float(np.degrees(angles[start, 0] - lowest_rad))
             is_driven = np.abs(volts[start:stop]).max() >= _OFF_SHARE * largest_V
-            if not is_driven:
+            # A link that reports 0 in all columns reports motors that are off.
+            if not is_driven and len(axes) < len(AXES):
                 continue
             # An arm on its table stands still, too, but leaves it without a large step.
             typical_steps = _STAND_STEPS if height_deg > _OFF_TABLE_DEG else _TABLE_STEPS
@@ -350,6 +354,10 @@ def _standing(rows: _Rows) -> Booleans:
                 bool((step_rad[row : row + 1] > usual_rad)[:, axes].any()) and not result[beyond]
                 for row, beyond in ((start - 1, entry), (stop - 1, min(stop, t_s.size - 1)))
             )
+            if not is_driven:
+                if enters and leaves:
+                    result[start:stop] = True
+                continue
             is_last = False
             if stop == t_s.size and length_s > _LAST_STAND_S:
                 moved_rad = np.abs(angles[start] - angles[np.searchsorted(t_s, t_s[start] - _STAND_S)])
@@ -362,6 +370,27 @@ def _standing(rows: _Rows) -> Booleans:
                 is_last = flies and bool(moved or is_long)
             if enters or leaves or is_last:
                 result[start + (not enters) : stop] = True
+    return result | _frozen(t_s, angles, volts)
+
+
+def _frozen(t_s: Floats, angles: Floats, volts: Floats) -> Booleans:
+    """Mark rows in the air that repeat all angles and voltages, although the voltages change until then, and
+    again after that. Under feedback, voltages settle before they stand still.
+
+    Shapes: `t_s` (n,), `angles` (n, 3), `volts` (n, 2).
+    """
+    result = np.zeros(t_s.size, bool)
+    steps_V = np.diff(volts, axis=0)
+    aloft_rad = angles[:, 0].min(initial=np.inf) + np.radians(_OFF_TABLE_DEG)
+    for start, stop in equal_runs(t_s, np.column_stack((angles, volts))):
+        if t_s[stop - 1] - t_s[start] < _FROZEN_S or angles[start, 0] < aloft_rad:
+            continue
+        first, last = np.searchsorted(t_s, (t_s[start] - _STAND_S, t_s[stop - 1] + _STAND_S)).tolist()
+        result[start + 1 : stop] = all(
+            is_active(part, steps_V[:, motor])
+            for motor in range(volts.shape[1])
+            for part in (steps_V[first : max(start - 1, first), motor], steps_V[stop:last, motor])
+        )
     return result
 
 

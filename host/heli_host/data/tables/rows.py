@@ -63,6 +63,11 @@ _MAX_SPIKES: Final = 0.02
 _NEAR_ROWS: Final = 8
 """Rows before and after a pair in which the rig has to move for the pair to count as evidence."""
 
+_ACTIVE_SHARE: Final = 0.5
+_ACTIVE_SIZE: Final = 0.3
+"""Number and median size of the steps of a part, as shares of the usual ones, from which on the column has
+not settled. Set by judgement."""
+
 
 @dataclass(frozen=True)
 class TimedRows:
@@ -700,6 +705,17 @@ def spikes(values: Floats) -> Booleans:
     if typical > 0.0 and is_spike.sum() < _MAX_SPIKES * values.size:
         result[1:-1] = is_spike
     return result
+
+
+def is_active(part: Floats, whole: Floats) -> bool:
+    """Whether the steps in a `part` of a column are as frequent as in the `whole`, and as large.
+
+    The steps of a column that settles become rarer and smaller.
+    """
+    moving, typical = np.abs(part[part != 0.0]), np.abs(whole[whole != 0.0])
+    if not moving.size or moving.size < _ACTIVE_SHARE * part.size * typical.size / whole.size:
+        return False
+    return bool(np.median(moving) > _ACTIVE_SIZE * np.median(typical))
 
 
 def runs_of(mask: Booleans) -> list[tuple[int, int]]:

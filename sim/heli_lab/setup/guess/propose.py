@@ -39,6 +39,7 @@ from heli_lab.setup.guess.motion import (
     sum_and_difference,
 )
 from heli_lab.setup.guess.names import AXES, PAIR, SUMS, meaning_of
+from heli_lab.setup.guess.parts import part_ambiguities
 from heli_lab.setup.guess.result import DECISIVE_NATS, NOTHING_KNOWN, Ambiguity, Guess, KnownEntries
 from heli_lab.setup.guess.signals import NO_RATE, Clock, filtered_signal
 from heli_lab.setup.guess.signs import (
@@ -175,6 +176,7 @@ def guess_by_rigs(
     evidence, ambiguities = _compare_with_second(proposals, chosen, is_given=rig is not None)
     if rig is None:
         ambiguities += _unknown_counts(proposals[chosen].profile, chosen, known)
+    ambiguities += part_ambiguities(tables, proposals[chosen].profile, rigs[chosen], is_given=rig is not None)
     guesses = [
         replace(each, evidence=(*evidence, *each.evidence), ambiguities=(*ambiguities, *each.ambiguities))
         for each in guesses

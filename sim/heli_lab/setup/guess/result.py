@@ -24,6 +24,7 @@ _ENTRIES: Final = {
     "the sum's column": "sum.column",
     "the voltages' columns": "front.column",
     "the rig": "",
+    "the signs in parts of the file": "",
     "the signs": "elevation.sign",
     "elevation's sign": "elevation.sign",
     "pitch's sign": "pitch.sign",

@@ -287,7 +287,7 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     if degrees is not None:
         return (degrees,)
     regressions = axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))
-    suspects = _sign_suspects(regressions)
+    suspects = sign_suspects(regressions)
     if suspects:
         suspects = _confirmed_by_simulation(suspects, flight, rig)
     deg_per_unit = dict.fromkeys(AXES, math.degrees(1.0))
@@ -343,7 +343,7 @@ def _angles_in_degrees(regressions: dict[str, RegressionFit], reference: Referen
     )
 
 
-def _sign_suspects(regressions: dict[str, RegressionFit]) -> list[WrongSign]:
+def sign_suspects(regressions: dict[str, RegressionFit]) -> list[WrongSign]:
     """Name the fewest changes of sign after which all axes follow their causes."""
     contradicts_cause = {
         axis: regressions[axis].gain < 0.0 and regressions[axis].log_likelihood_ratio > DECISIVE_NATS

@@ -1,0 +1,344 @@
+"""Doubts about parts of a file: a sign, a unit, an angle, a voltage or the clock that changes within it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from heli_host.data.arrays import Booleans, Floats
+from heli_host.data.flight import Flight
+from heli_host.data.tables import Column, Profile, Table, convert
+from heli_host.data.tables.convert import times_of
+from heli_host.data.tables.rows import is_active, runs_of
+from heli_host.data.tables.table import COUNT
+from heli_host.errors import FlightDataError
+from heli_sim.rig import Rig
+
+from heli_lab.setup.guess.motion import Assignment, Reference, RegressionFit, axis_regressions, reference_of
+from heli_lab.setup.guess.names import AXES, PAIR
+from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity
+from heli_lab.setup.guess.signals import column_signals, quantisation_step
+from heli_lab.setup.guess.signs import sign_suspects
+
+_COLUMNS: Final = ("elevation_rad", "pitch_rad", "travel_rad", "front_V", "back_V")
+_PART_S: Final = 12.0
+"""Length of the parts in which signs and units are compared [s]: in most of them, each axis moves enough."""
+_UNIT_RATIO: Final = 6.0
+"""Ratio of the gains of two parts from which on a unit changes between them. Parts of measured and simulated
+flights differ by up to 3, degrees and radians by 57."""
+_NEAR_S: Final = 0.3
+"""Time before and after a part in which a voltage still changes [s]."""
+_HELD_S: Final = 0.3
+_HELD_INTERVALS: Final = 5.0
+_MAX_INTERVAL_S: Final = 0.1
+"""Shortest time for which a voltage is held by a failed link [s], also as a multiple of the usual interval
+between its changes. A voltage that changes less often is a signal of steps."""
+_VOLTAGE_JUMP: Final = 2.0
+_LIMIT_JUMP: Final = 0.5
+"""Steps to and from a voltage that is also a limit, as a multiple of large steps near them, and as a share of
+the distance of the limit from the usual voltage. Amplifiers reach their limits within several rows."""
+_ALOFT_DEG: Final = 2.0
+"""Height above the lowest elevation from which on the arm does not rest on its table [deg]."""
+_FLAT_S: Final = 0.3
+"""Shortest time at the highest or the lowest angle [s] that may be a limit of the sensor."""
+_FLAT_STEPS: Final = 4.0
+"""Motion just before and after this time, in steps of the encoder. An arm that turns round slows down first:
+it moves by 1.3 steps."""
+_JUMP_ACCELERATIONS: Final = 5.0
+_JUMP_DEG: Final = 1.5
+"""Smallest jump of an angle, as a multiple of the 99 % quantile of its second differences, and in degrees."""
+_BLOCK_ROWS: Final = 100
+_STEP_RATIO: Final = 1.5
+_EVEN_RATIO: Final = 1.3
+_CHANGED_S: Final = 2.0
+"""Rows of a block, ratio of its typical step of time to that of the file, largest ratio of its steps, and
+shortest time of such blocks, from which on the clock changes its rate. Rows that are lost at random make
+uneven blocks."""
+_DECODINGS: Final = (0.25, 0.5, 2.0, 4.0)
+_COUNTS_TOLERANCE: Final = 0.01
+"""Ratios between the edges of an encoder that programs count, and their tolerance."""
+
+
+def part_ambiguities(
+    tables: Sequence[Table], profile: Profile, rig: Rig, *, is_given: bool
+) -> list[Ambiguity]:
+    """List what changes within the files, although a profile has one entry for all of their parts.
+
+    `is_given` states that the user named the rig, so that its encoders count.
+    """
+    reference = reference_of(rig)
+    ambiguities: list[Ambiguity] = []
+    flights: list[Flight] = []
+    for table in tables:
+        try:
+            flights += convert(table, profile).flights
+        except FlightDataError:
+            # The conversion itself states the reason.
+            continue
+        rows = table.aligned([angle.column for angle in profile.angles.values()])
+        ambiguities += _changed_rate(rows, profile) + _decodings(rows, profile, rig, is_given=is_given)
+    ambiguities += _changed_motion(flights, reference)
+    for flight in flights:
+        ambiguities += _jumps(flight) + _flat_tops(flight) + _held_voltages(flight)
+    return list({ambiguity.subject: ambiguity for ambiguity in reversed(ambiguities)}.values())[::-1]
+
+
+def _changed_rate(table: Table, profile: Profile) -> list[Ambiguity]:
+    """Report a clock whose step changes for good, as if it changed its rate."""
+    if not profile.time:
+        return []
+    t_s = times_of(table, profile)
+    steps_s = np.diff(t_s)
+    blocks = steps_s[: steps_s.size // _BLOCK_ROWS * _BLOCK_ROWS].reshape(-1, _BLOCK_ROWS)
+    if len(blocks) < 2 or not (steps_s > 0.0).all():
+        return []
+    low, middle, high = np.quantile(blocks, (0.1, 0.5, 0.9), axis=1)
+    usual_s = float(np.median(middle))
+    is_other = (np.maximum(middle, usual_s) > _STEP_RATIO * np.minimum(middle, usual_s)) & (
+        high < _EVEN_RATIO * low
+    )
+    for start, stop in runs_of(is_other):
+        first, last = start * _BLOCK_ROWS, stop * _BLOCK_ROWS
+        if t_s[last] - t_s[first] < _CHANGED_S:
+            continue
+        step_s = float(np.median(middle[start:stop]))
+        return [
+            Ambiguity(
+                "the rate of the clock",
+                f"'{profile.time}' as it is, with steps of {step_s:.4g} s from {t_s[first]:.1f} to "
+                f"{t_s[last]:.1f} s, and of {usual_s:.4g} s elsewhere",
+                "the same step everywhere",
+                "either rows are missing there, or the clock runs at another rate; look up the step of your "
+                "logger, and add --rate if it never changes",
+            )
+        ]
+    return []
+
+
+def _parts_of(flight: Flight) -> Iterator[Flight]:
+    """Divide a flight into parts of equal length."""
+    count = max(1, int(flight.duration_s / _PART_S))
+    edges = np.linspace(0, len(flight), count + 1).astype(int)
+    for start, stop in itertools.pairwise(edges.tolist()):
+        yield flight.between(float(flight.t_s[start]), float(flight.t_s[stop - 1]) + 0.5 * flight.step_s)
+
+
+def _regressions(part: Flight, reference: Reference) -> dict[str, RegressionFit]:
+    """Regress the acceleration of each axis on its cause; empty if a column is constant."""
+    table = Table("flight", {name: Column(getattr(part, name)) for name in _COLUMNS})
+    signals = column_signals(table, part.t_s, list(_COLUMNS))
+    if any(np.ptp(signals.raw[name]) == 0.0 for name in _COLUMNS) or not signals.inner.any():
+        return {}
+    assignment = Assignment(dict(zip((*AXES, *PAIR), _COLUMNS, strict=True)))
+    return axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))
+
+
+def _changed_motion(flights: Sequence[Flight], reference: Reference) -> list[Ambiguity]:
+    """Report parts in which an axis moves against its cause, or many times as far as in the others."""
+    parts = [part for flight in flights for part in _parts_of(flight) if part.duration_s > 0.5 * _PART_S]
+    if len(parts) < 2:
+        return []
+    fits = [_regressions(part, reference) for part in parts]
+    opposite = [(part, sign_suspects(fit)) for part, fit in zip(parts, fits, strict=True) if fit]
+    opposite = [(part, suspects) for part, suspects in opposite if suspects]
+    result = []
+    if opposite and len(opposite) < len(parts):
+        part, suspects = opposite[0]
+        result.append(
+            Ambiguity(
+                "the signs in parts of the file",
+                "as proposed",
+                f"{' and '.join(suspects[0].inverted_axes)} with the opposite sign from "
+                f"{_span_text(part)}{_more_text(len(opposite) - 1)}",
+                f"there, {suspects[0].description}; look up what changed within the file, and leave the part "
+                "out with leave_out_s",
+            )
+        )
+    for axis in AXES:
+        gains = [
+            (part, abs(fit[axis].gain))
+            for part, fit in zip(parts, fits, strict=True)
+            if fit and fit[axis].log_likelihood_ratio > DECISIVE_NATS
+        ]
+        if len(gains) < 2:
+            continue
+        part, smallest = min(gains, key=lambda pair: pair[1])
+        other, largest = max(gains, key=lambda pair: pair[1])
+        if largest > _UNIT_RATIO * smallest:
+            result.append(
+                Ambiguity(
+                    f"{axis}'s unit in parts of the file",
+                    "the same in the whole file",
+                    f"another one from {_span_text(part)} than from {_span_text(other)}",
+                    f"in the latter, {axis} responds {largest / smallest:.0f} times as strongly; look up "
+                    "what changed within the file, and leave one part out with leave_out_s",
+                )
+            )
+    return result
+
+
+def _span_text(part: Flight) -> str:
+    return f"{part.t_s[0]:.1f} to {part.t_s[-1]:.1f} s"
+
+
+def _more_text(count: int) -> str:
+    return f" and in {count} other parts" if count else ""
+
+
+def _jumps(flight: Flight) -> list[Ambiguity]:
+    """Report angles that jump from one row to the next, and stay there: an encoder has lost counts."""
+    result = []
+    for axis in AXES:
+        angle_deg = np.degrees(getattr(flight, f"{axis}_rad"))
+        second = np.diff(angle_deg, 2)
+        size = np.abs(second)
+        limit_deg = max(_JUMP_DEG, _JUMP_ACCELERATIONS * float(np.quantile(size, 0.99)))
+        is_jump = (np.minimum(size[:-1], size[1:]) > limit_deg) & (second[:-1] * second[1:] < 0.0)
+        for row in (np.flatnonzero(is_jump) + 1).tolist():
+            before, after = angle_deg[max(row - 4, 0) : row + 1], angle_deg[row + 1 : row + 6]
+            jump_deg = float(angle_deg[row + 1] - angle_deg[row])
+            if abs(float(np.median(after) - np.median(before))) < 0.6 * abs(jump_deg):
+                continue
+            result.append(
+                Ambiguity(
+                    f"{axis}'s zero in parts of the file",
+                    "the same in the whole file",
+                    f"{-jump_deg:.1f} deg to add from {flight.t_s[row + 1]:.3f} s on",
+                    f"{axis} jumps there by {jump_deg:.1f} deg; if the encoder lost counts, leave the rows "
+                    "after the jump out with leave_out_s",
+                )
+            )
+            break
+    return result
+
+
+def _flat_tops(flight: Flight) -> list[Ambiguity]:
+    """Report an angle that stops abruptly at its highest or lowest value, as at the limit of a sensor.
+
+    The table stops the lowest elevation.
+    """
+    result = []
+    for axis in AXES:
+        angle_deg = np.degrees(getattr(flight, f"{axis}_rad"))
+        step_deg = quantisation_step(angle_deg)
+        ends = {"highest": float(angle_deg.max())}
+        if axis != "elevation":
+            ends["lowest"] = float(angle_deg.min())
+        for name, end_deg in ends.items():
+            spans = [
+                (start, stop)
+                for start, stop in runs_of(np.abs(angle_deg - end_deg) < 1e-9)
+                if (stop - 1 - start) * flight.step_s >= _FLAT_S and start and stop < angle_deg.size
+            ]
+            abrupt = [span for span in spans if _is_abrupt(angle_deg, span, flight.step_s, step_deg)]
+            if not abrupt:
+                continue
+            start, stop = abrupt[0]
+            result.append(
+                Ambiguity(
+                    f"{axis} beyond its {name} value",
+                    f"{end_deg:.1f} deg, as logged",
+                    f"{'more' if name == 'highest' else 'less'} than {end_deg:.1f} deg, which the sensor or "
+                    "the log cannot show",
+                    f"{axis} stops there abruptly, such as from {flight.t_s[start]:.2f} to "
+                    f"{flight.t_s[stop - 1]:.2f} s; if it is no stop of the rig, leave these rows out with "
+                    "leave_out_s",
+                )
+            )
+    return result
+
+
+def _is_abrupt(angle_deg: Floats, span: tuple[int, int], step_s: float, encoder_deg: float) -> bool:
+    """Whether an angle moves fast until a flat part, and after it. Shapes: `angle_deg` (n,)."""
+    start, stop = span
+    rows = max(2, round(min(_FLAT_S, 0.25 * (stop - start) * step_s) / step_s))
+    first, last = max(start - rows, 0), min(stop + rows - 1, angle_deg.size - 1)
+    entry, leave = angle_deg[start] - angle_deg[first], angle_deg[last] - angle_deg[stop - 1]
+    return bool(min(abs(entry), abs(leave)) > _FLAT_STEPS * max(encoder_deg, 0.02))
+
+
+def _held_voltages(flight: Flight) -> list[Ambiguity]:
+    """Report a voltage that stands still in the air while the other one changes, as over a failed link."""
+    volts = {"front": flight.front_V, "back": flight.back_V}
+    changes = {motor: np.diff(values) for motor, values in volts.items()}
+    elevation_deg = np.degrees(flight.elevation_rad)
+    aloft_deg = float(elevation_deg.min()) + _ALOFT_DEG
+    for motor, other in (PAIR, PAIR[::-1]):
+        intervals = np.diff(np.flatnonzero(changes[motor]))
+        if intervals.size < 10:
+            continue
+        usual_rows = float(np.quantile(intervals, 0.95))
+        if usual_rows * flight.step_s > _MAX_INTERVAL_S:
+            continue
+        rows = max(_HELD_S / flight.step_s, _HELD_INTERVALS * usual_rows)
+        for start, last in runs_of(changes[motor] == 0.0):
+            stop = last + 1
+            is_aloft = float(np.median(elevation_deg[start:stop])) > aloft_deg
+            if last - start < rows or not is_aloft:
+                continue
+            if is_active(changes[other][start:last], changes[other]) and _is_held(
+                volts[motor], changes[motor], (start, stop), flight.step_s
+            ):
+                return [
+                    Ambiguity(
+                        f"the {motor} voltage in parts of the file",
+                        f"{volts[motor][start]:.2f} V from {flight.t_s[start]:.2f} to "
+                        f"{flight.t_s[stop - 1]:.2f} s, as logged",
+                        "unknown there",
+                        f"it changes before and after, and the {other} voltage all the time; if a link "
+                        "failed, leave these rows out with leave_out_s",
+                    )
+                ]
+    return []
+
+
+def _is_held(volts: Floats, changes: Floats, span: tuple[int, int], step_s: float) -> bool:
+    """Whether a voltage stops changing within a row, and begins again within a row. Shapes: (n,)."""
+    start, stop = span
+    near = max(5, round(_NEAR_S / step_s))
+    before, after = changes[max(start - 1 - near, 0) : max(start - 1, 0)], changes[stop : stop + near]
+    if not (is_active(before, changes) and is_active(after, changes)):
+        return False
+    value = float(volts[start])
+    is_equal: Booleans = np.abs(volts - value) < 1e-9
+    is_equal[start:stop] = False
+    is_limit = value in (float(volts.min()), float(volts.max())) or any(
+        last - first > 2 for first, last in runs_of(is_equal)
+    )
+    if not is_limit:
+        return True
+    large = float(np.quantile(np.abs(np.concatenate((before, after))), 0.9))
+    jump = min(abs(float(changes[start - 1])), abs(float(changes[stop - 1])))
+    return jump > max(_VOLTAGE_JUMP * large, _LIMIT_JUMP * abs(float(np.median(volts)) - value))
+
+
+def _decodings(table: Table, profile: Profile, rig: Rig, *, is_given: bool) -> list[Ambiguity]:
+    """Report an angle whose encoder has half or twice the steps that the rig file or another axis has."""
+    counts = reference_of(rig).counts
+    steps_rad = {
+        axis: angle.rad * quantisation_step(table.columns[angle.column].values)
+        for axis, angle in profile.angles.items()
+        if angle.unit != COUNT
+    }
+    ratios = {axis: 2.0 * math.pi / step / counts[axis] for axis, step in steps_rad.items() if step}
+    suspects: Mapping[str, float] = ratios
+    if not is_given:
+        # Rigs have other encoders, but elevation and pitch have the same ones.
+        same = {"elevation", "pitch"} <= ratios.keys()
+        suspects = {"pitch": ratios["pitch"] / ratios["elevation"]} if same else {}
+    return [
+        Ambiguity(
+            f"the scale of {axis}'s encoder",
+            f"steps of {math.degrees(steps_rad[axis]):.4f} deg, as logged",
+            f"{ratio:g} times the angle",
+            f"the encoders {f'of rig {rig.name}' if is_given else 'of elevation'} have other steps by this "
+            f"factor; a program that counts other edges of the encoder gives a wrong scale; turn {axis} by a "
+            "known angle",
+        )
+        for axis, measured in suspects.items()
+        for ratio in _DECODINGS
+        if abs(measured / ratio - 1.0) < _COUNTS_TOLERANCE
+    ]
