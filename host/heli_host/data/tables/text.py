@@ -32,6 +32,11 @@ _MAX_LINE_CHARACTERS: Final = 1 << 16
 _LINE_ENDS: Final = tuple(bytes([code]) for code in b"\n\x0b\x0c\x1c\x1d\x1e\x85\xa8\xa9")
 """Last bytes of all line ends, including those of Unicode; carriage returns are counted separately."""
 _COMMENTS: Final = ("#", "%", "//", '"#')
+_MINUS: Final = re.compile(r"[\u2212\u2013\ufe63\uff0d](?=[\d.,])")
+"""Other characters for the minus of a number: documents and spreadsheets write them."""
+_WORD_FIRST: Final = re.compile(r'\s*"?[^\W\d]')
+_RULE: Final = re.compile(r"^[|+:=\s-]*-{3}[|+:=\s-]*$")
+"""Line of dashes below the header of a table in a document."""
 _SEPARATORS: Final = (";", "\t", ",", "|", " ")
 _LOOKED_AT: Final = 60
 """Number of lines from which the dialect is determined."""
@@ -72,6 +77,8 @@ _MIN_NAMED_SHARE: Final = 0.5
 _MIN_NAMES_SHARE: Final = 0.05
 """Share of the lines with the same names from which they are complete: signals have several rates, or come in
 lines of their own. Damage changes the names of a line at random."""
+_MIN_NAMES: Final = 5
+"""Fewest names of a header with any other number of columns; a title may have a few commas."""
 _MIN_SIGNAL_ROWS: Final = 10
 _MAX_SIGNALS: Final = 64
 """Fewest values of a signal, and most signals, in a table with one value per row."""
@@ -117,7 +124,11 @@ def read_text(path: Path) -> Table:
 
     lines = _read_lines(path)
     notes = "\n".join(line.strip().lstrip("#%/ ") for line in lines if line.strip().startswith(_COMMENTS))
-    body = [line for line in lines if line.strip() and not line.strip().startswith(_COMMENTS)]
+    body = [
+        line
+        for line in lines
+        if line.strip() and not line.strip().startswith(_COMMENTS) and not _RULE.match(line)
+    ]
     if not body:
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
     body = _without_names_in_rows(_without_checksums(body))
@@ -147,6 +158,7 @@ def read_text(path: Path) -> Table:
     header = header or _commented_header(lines, rows, dialect)
     if dialect.separator == ",":
         rows = _with_points_in_clocks(rows, len(_split_cells(header[-1], dialect)) if header else 0)
+    _refuse_other_header(path, header, rows, dialect)
     rows, width, places, changes = _whole_rows(rows, header, dialect)
     check_columns(path, width)
     names, units = _names_and_units(_with_row_name(path, header, rows, dialect, width), dialect, width)
@@ -538,7 +550,7 @@ def _number_share(row: list[str], dialect: Dialect) -> float:
 
 def _read_lines(path: Path) -> list[str]:
     """Return the lines of a file, one per record for JSON; a FlightDataError if one is too long."""
-    text = _decode_file(path)
+    text = _MINUS.sub("-", _decode_file(path))
     is_json = path.name.lower().removesuffix(".gz").endswith(".json")
     lines = (_json_lines(text) if is_json else None) or text.splitlines()
     if max(map(len, lines), default=0) > _MAX_LINE_CHARACTERS:
@@ -685,17 +697,44 @@ def _with_row_name(path: Path, header: list[str], rows: list[str], dialect: Dial
         return header
     cells = _split_cells(header[-1], dialect)
     is_header = len(cells) > 1 and not any(not cell.strip() or _is_number(cell, dialect) for cell in cells)
-    if not is_header or len(cells) not in (width - 1, width - 2):
+    lacks_names = len(cells) in (width - 1, width - 2) or _MIN_NAMES <= len(cells) < width
+    if not is_header or not lacks_names:
         return header
     first = [_split_cells(row, dialect)[0].strip(' "') for row in rows[:_LOOKED_AT]]
     numbers = [str(number) for number in range(1, 1 + len(first))]
     if len(cells) == width - 1 and first == numbers:
         return [*header[:-1], f"row{dialect.separator}{header[-1]}"]
+    number, row = next((i, row) for i, row in enumerate(rows, 1) if _cell_count(row, dialect) == width)
+    names = f"{path}: the header names {len(cells)} columns ({', '.join(cells[:3])} ...)"
+    fractions = {cell for each in rows[:_LOOKED_AT] for cell in _split_cells(each, dialect)[1::2]}
+    if width == 2 * len(cells) and all(cell.isdigit() for cell in fractions):
+        raise FlightDataError(
+            f"{names}, and the rows have two cells for each: commas separate the columns, and are decimal "
+            f"marks, too (row {number}: {row[:60]})",
+            "write the numbers with points, or separate the columns with semicolons",
+        )
     raise FlightDataError(
-        f"{path}: the header names {len(cells)} columns ({', '.join(cells[:3])} ...), but the rows have "
-        f"{width} cells (first row: {rows[0][:60]})",
+        f"{names}, but the rows have {width} cells (first: row {number}: {row[:60]})",
         "give each column one name, and quote cells that contain the separator",
     )
+
+
+def _refuse_other_header(path: Path, header: list[str], rows: list[str], dialect: Dialect) -> None:
+    """Refuse a table with a second header among its `rows` that has the names of the first in another order.
+
+    The columns below it have another meaning.
+    """
+    names = [cell.strip(' "') for cell in _split_cells(header[-1], dialect)] if header else []
+    for number, row in enumerate(rows, 1):
+        if not _WORD_FIRST.match(row):
+            continue
+        cells = [cell.strip(' "') for cell in _split_cells(row, dialect)]
+        if cells != names and len(cells) > _MIN_NAMED and sorted(cells) == sorted(names):
+            raise FlightDataError(
+                f"{path}: the columns change their order at row {number}, where another header is "
+                f"({row[:60]})",
+                "cut the file there, and import both parts",
+            )
 
 
 def _unit_in_cell(cell: str) -> str:

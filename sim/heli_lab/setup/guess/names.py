@@ -44,7 +44,7 @@ _WORDS: Final = {
         *("anteriore", "frontal", "dianteiro", "dianteira", "voor"),
     ),
     "back": (
-        *("back", "rear", "vb", "ub", "uh", "aft", "mb", "b"),
+        *("back", "rear", "vb", "ub", "uh", "aft", "mb", "b", "vr", "ur", "mr"),
         *("bak", "bakre", "hinten", "hinterer", "heck", "arriere", "trasero", "后"),
         *("posteriore", "traseiro", "traseira", "achter"),
     ),
@@ -141,6 +141,11 @@ _VOLTAGES: Final = frozenset(
     }
 )
 """Words of the voltage of a motor that is not named, as in ``u1`` or ``motor_2``."""
+_SIDES: Final = frozenset(
+    {"l", "r", "left", "right", "links", "rechts", "gauche", "droite", "izquierdo", "derecho"}
+)
+"""Words of a motor by its side, as in ``pwmR``: they do not state which motor is the front one."""
+_SIDE_LETTERS: Final = frozenset({"vl", "ul", "ml"})
 _DUTIES: Final = frozenset({"pwm", "duty", "tastgrad", "padrag", "percent", "prozent", "prosent"})
 """Words of a share of the supply voltage."""
 _GERMAN_LETTERS: Final = {"v": "vorne", "h": "hinten"}
@@ -172,6 +177,7 @@ _SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?!
 _PATH: Final = re.compile(r"[./:]")
 """What separates the name of a signal from the names of the messages or structures that contain it."""
 _INDEX: Final = re.compile(r"\d+")
+_ELEMENT: Final = re.compile(r"[\[(]\d+[\])]$")
 _CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _CHINESE: Final = tuple(
     word for known in (*_WORDS.values(), _TIMES) for word in known if word and word[0] >= "\u4e00"
@@ -207,7 +213,24 @@ def meanings_of(units: Mapping[str, str]) -> dict[str, ColumnMeaning]:
     if len(units) > 1 and len({_INDEX.sub("", name) for name in units}) == 1:
         return {name: ColumnMeaning(possible_roles=ROLES) for name in units}
     meanings = {name: meaning_of(name, unit) for name, unit in units.items()}
-    return _without_duties_of_voltages(_with_rolls(_without_shared_words(meanings)), units)
+    meanings = _without_shared_motors(_without_shared_words(meanings))
+    return _without_duties_of_voltages(_with_rolls(meanings), units)
+
+
+def _without_shared_motors(meanings: Mapping[str, ColumnMeaning]) -> dict[str, ColumnMeaning]:
+    """Return the meanings of a table in which one matrix with the name of a motor has two columns, as in
+    ``Vf[1]`` and ``Vf[2]``: they are the voltages of both motors, and the name does not state which is which.
+    """
+    result = dict(meanings)
+    for motor in PAIR:
+        columns = [name for name, each in meanings.items() if each.role == motor and not each.quantity]
+        others = [
+            name for name, each in meanings.items() if each.role in VOLTAGE_ROLES and each.role != motor
+        ]
+        matrices = {_ELEMENT.sub("", name) for name in columns}
+        if len(columns) == len(PAIR) and len(matrices) == 1 and not others and columns[0] not in matrices:
+            result |= dict.fromkeys(columns, ColumnMeaning(possible_roles=VOLTAGE_ROLES))
+    return result
 
 
 def _without_shared_words(meanings: Mapping[str, ColumnMeaning]) -> dict[str, ColumnMeaning]:
@@ -296,7 +319,7 @@ def meaning_of(name: str, unit: str = "") -> ColumnMeaning:
     if role in possible:
         return ColumnMeaning(role, "", bool(_MEASURED.intersection(words)), (role,))
     bare = {word for word in words if not any(char.isdigit() for char in word)}
-    if possible == ROLES and bare and bare <= _VOLTAGES:
+    if possible == ROLES and _VOLTAGES.intersection(bare) and bare <= _VOLTAGES | _SIDES | _SIDE_LETTERS:
         possible = VOLTAGE_ROLES
     return ColumnMeaning("", "", bool(_MEASURED.intersection(words)), possible)
 
@@ -364,10 +387,14 @@ def _stated_role(words: list[str]) -> str:
 
 def _stated_quantity(words: list[str], role: str) -> str:
     """Return the quantity other than an angle or a voltage that the words state; empty if they state none."""
+    is_voltage = bool(_VOLTAGES.intersection(words)) and role not in AXES
+    names_side = is_voltage and all(word in _VOLTAGES | _SIDES or word in _WORDS["back"] for word in words)
     for quantity, known in _OTHER_QUANTITIES.items():
         stating = {word for word in words if word in known and (role or word not in _LETTERS)}
         if role in VOLTAGE_ROLES:
             stating -= _COMMANDS | _ANGLE_LETTERS
+        if names_side:
+            stating -= _SIDES
         if role and _GROUP in stating and any(word in _WORDS[role] for word in words[words.index(_GROUP) :]):
             # As in ``/heli/state/pitch``: the part of a message.
             stating.remove(_GROUP)

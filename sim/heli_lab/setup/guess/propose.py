@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.tables import Angle, Profile, Table, Voltage, flights_of, profile_text
-from heli_host.data.tables.table import COUNT, SHARES
+from heli_host.data.tables.table import COUNT, SHARES, TIME_UNITS, split_unit
 from heli_host.errors import FlightDataError, HeliError
 from heli_sim.rig import Rig, load_rig, rig_names
 
@@ -248,6 +248,11 @@ def propose(
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
     ambiguities += doubtful_columns + unit_ambiguities + unknown_unit_ambiguities(assignment, scale)
+    if clock.sure and not _states_unit(signed[0][0], clock) and _fits_nothing(regressions):
+        clock = replace(clock, sure=False, alternative="another unit, which the file does not state")
+        ambiguities.append(
+            Ambiguity("the time", f"{clock.column} in {clock.unit}", clock.alternative, NO_RATE)
+        )
     try:
         check_third_angle(source, regressions, assignment, options)
         ambiguities += check_voltages(source, regressions, assignment, options, files)
@@ -292,6 +297,18 @@ def propose(
     unknown = tuple(ambiguity for ambiguity in ambiguities if not known.states(ambiguity))
     proposed = Guess(profile, unknown, tuple(evidence), log_likelihood=assignment.log_likelihood)
     return proposed, longest_parts
+
+
+def _states_unit(table: Table, clock: Clock) -> bool:
+    """Whether the file states the unit of its times, or has none."""
+    if not clock.column:
+        return True
+    return (table.columns[clock.column].unit or split_unit(clock.column)[1]) in TIME_UNITS
+
+
+def _fits_nothing(regressions: Mapping[str, RegressionFit]) -> bool:
+    """Whether neither elevation nor pitch follows the voltages, as in times of a wrong unit."""
+    return all(regressions[axis].log_likelihood_ratio < DECISIVE_NATS for axis in ("elevation", "pitch"))
 
 
 def _with_uncertain_time(error: FlightDataError, source: str, clock: Clock) -> FlightDataError:
