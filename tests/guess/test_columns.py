@@ -132,6 +132,15 @@ def scaled(table: Table, names: Mapping[str, str], factors: Mapping[str, float])
 
 
 @pytest.mark.medium
+def test_an_unstated_unit_of_times_is_doubted_if_nothing_follows_the_voltages() -> None:
+    columns = dict(flight_table().columns)
+    # Only in milliseconds are such steps those of a log.
+    counts = 40.0 * columns.pop("t").values
+    for unit, is_doubted in (("", True), ("ms", False)):
+        guess = proposed(Table("x.csv", {"time": Column(counts, unit), **columns}))
+        assert ("the time" in subjects(guess)) == is_doubted
+
+
 def test_a_unit_that_is_unknown_or_that_the_motion_contradicts_is_doubted() -> None:
     table = flight_table()
     gon = dict.fromkeys(AXES, 200.0 / math.pi)

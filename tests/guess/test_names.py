@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from heli_lab.setup.guess.names import (
+    VOLTAGE_ROLES,
     direction_columns,
     is_time,
     meaning_of,
@@ -38,6 +39,10 @@ from heli_lab.setup.guess.names import (
         ("U_v", "front", ""),
         ("PWM_h", "back", ""),
         ("V_f", "front", ""),
+        ("V_r", "back", ""),
+        ("pwmR", "", ""),
+        ("motor_left", "", ""),
+        ("u_front_r", "front", "a setpoint"),
         ("heli3d/pitch", "pitch", ""),
         ("V_d", "difference", ""),
         ("Pådrag foran", "front", ""),
@@ -120,3 +125,10 @@ def test_pitch_roll_and_yaw_of_an_aircraft_are_the_three_axes() -> None:
 def test_the_column_of_a_direction_is_found_by_its_motor() -> None:
     units = dict.fromkeys(("pwm_front", "dir_front", "duty_rear", "Drehrichtung hinten", "pitch"), "")
     assert direction_columns(units) == {"pwm_front": "dir_front", "duty_rear": "Drehrichtung hinten"}
+
+
+def test_two_columns_of_one_matrix_with_the_name_of_a_motor_are_both_motors() -> None:
+    matrix = meanings_of(dict.fromkeys(("t", "pitch", "Vf[1]", "Vf[2]"), ""))
+    assert {matrix[name].possible_roles for name in ("Vf[1]", "Vf[2]")} == {VOLTAGE_ROLES}
+    copies = meanings_of(dict.fromkeys(("t", "pitch", "Vf", "Vf_raw"), ""))
+    assert copies["Vf"].role == copies["Vf_raw"].role == "front"

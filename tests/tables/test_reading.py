@@ -293,6 +293,50 @@ def test_a_header_with_too_few_names_is_refused_with_both_numbers(tmp_path: Path
         read_table(path)
 
 
+def test_a_row_with_a_cell_too_many_is_shown_as_the_reason(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = rows(",", ".").splitlines()
+    path.write_text("\n".join(["t,x,y", *lines[:90], *(f"{line},0.5" for line in lines[90:])]) + "\n")
+    with pytest.raises(FlightDataError, match=r"rows have 4 cells \(first: row 91: 0.9000,"):
+        read_table(path)
+
+
+def test_decimal_commas_between_commas_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    x = np.column_stack((T_S, X, Y, X, Y))
+    body = [",".join(f"{value:.4f}" for value in row).replace(".", ",") for row in x]
+    path.write_text("\n".join(["t,a,b,c,d", *body]) + "\n")
+    with pytest.raises(FlightDataError, match="two cells for each: commas separate the columns, and are"):
+        read_table(path)
+
+
+def test_a_second_header_with_the_names_in_another_order_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    lines = rows(",", ".").splitlines()
+    for second, is_refused in (("t,x,y,z", False), ("t,y,x,z", True)):
+        body = [f"{line},1" for line in lines]
+        path.write_text("\n".join(["t,x,y,z", *body[:90], second, *body[90:]]) + "\n")
+        if is_refused:
+            with pytest.raises(FlightDataError, match="columns change their order at row 91"):
+                read_table(path)
+        else:
+            assert len(read_table(path)) == 201
+
+
+@pytest.mark.parametrize("minus", ["\u2212", "\u2013"])
+def test_numbers_with_a_typographic_minus(minus: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(("t,x,y\n" + rows(",", ".")).replace("-", minus), encoding="utf-8")
+    assert_same_columns(read_table(path))
+
+
+def test_a_table_of_a_document_with_a_rule_below_its_header(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    body = "\n".join(f"| {line.replace(',', ' | ')} |" for line in rows(",", ".").splitlines())
+    path.write_text(f"| t | x | y |\n|---|:---:|---|\n{body}\n")
+    assert_same_columns(read_table(path))
+
+
 @pytest.mark.parametrize("header", [["t,x,y"], []], ids=["names", "no names"])
 def test_decimal_commas_of_a_clock_in_a_table_with_commas(header: list[str], tmp_path: Path) -> None:
     path = tmp_path / "a.csv"

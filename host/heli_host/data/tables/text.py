@@ -609,6 +609,12 @@ def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> 
         for index, row in enumerate(cells)
         if len(row) >= width and not numbers[index] and all(cell.strip() for cell in row[:width])
     ]
+    if not name_rows:
+        # Rows may get more cells in the middle of a file than the names and the first rows have.
+        for index, (names, row) in enumerate(itertools.pairwise(cells)):
+            is_header = not numbers[index] and all(cell.strip() for cell in names)
+            if is_header and _MIN_NAMED <= len(names) == len(row) == numbers[index + 1] < width:
+                return index + 1
     start = max(name_rows, default=-1) + 1
     for index in range(start, len(lines)):
         filled = sum(bool(cell.strip()) for cell in cells[index])
