@@ -19,7 +19,6 @@ from heli_host import declaration as link
 from heli_host.declaration import Channel, Flags, MessageId, Result, State
 from heli_host.errors import LinkLost, PortError
 from heli_host.link.frames import Frame, FrameParser
-from heli_host.link.session import Session
 
 from tests.channels.groups import COUNTS, SETPOINTS, VOLTAGES, row_of
 from tests.link import host_reference as reference
@@ -319,13 +318,6 @@ class PtyBoard:
             if due < 0:
                 began_s, began_tick = time.monotonic(), self.board.tick
             os.write(master, self.board.advance(max(due, 0)))
-
-
-def connected_session(board: FakeBoard) -> Session:
-    """A session that is connected to it."""
-    session = Session(FakeLine(board))
-    session.connect()
-    return session
 
 
 def ticks_of_received(board: FakeBoard, message_id: MessageId) -> list[int]:

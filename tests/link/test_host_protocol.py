@@ -530,8 +530,7 @@ def test_a_fault_is_reported_by_its_code() -> None:
 
 @pytest.mark.medium
 @pytest.mark.parametrize("lost", [False, True])
-def test_a_session_reports_a_lost_event_once_with_telemetry_as_source(lost: bool) -> None:
-    board = FakeBoard()
+def test_a_session_reports_a_lost_event_once_with_telemetry_as_source(board: FakeBoard, lost: bool) -> None:
     session = Session(FakeLine(board))
     received: list[LinkEvent] = []
     session.subscribe_events(received.append)
@@ -555,10 +554,7 @@ def test_a_million_frames_raise_only_errors_of_the_package() -> None:
 @pytest.mark.medium
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 2.0**127, 0.5])
 @pytest.mark.parametrize("kind", [*Event, 200])
-def test_an_event_may_carry_any_number(kind: int, value: float) -> None:
-    board = FakeBoard()
-    session = Session(FakeLine(board))
-    session.connect()
+def test_an_event_may_carry_any_number(board: FakeBoard, session: Session, kind: int, value: float) -> None:
     session.wait(0.1)
     board.send(EventMessage(board.tick, kind, 1, 1, value))
     session.wait_for(lambda: False, 0.5)
@@ -568,8 +564,7 @@ def test_an_event_may_carry_any_number(kind: int, value: float) -> None:
     assert event.text == event_text(EventMessage(0, kind, 1, 1, value))
 
 
-def test_a_sample_of_a_state_that_nobody_declared_is_refused_and_counted() -> None:
-    board = FakeBoard()
+def test_a_sample_of_a_state_that_nobody_declared_is_refused_and_counted(board: FakeBoard) -> None:
     session = Session(FakeLine(board))
     received: list[Ticks] = []
     session.subscribe_ticks(received.append)

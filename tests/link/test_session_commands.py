@@ -44,23 +44,20 @@ from tests.link.fake_board import (
     BATCH_TICKS,
     FakeBoard,
     FakeLine,
-    connected_session,
     ticks_of_received,
     truth,
 )
 from tests.running.long import samples
 
 
-def test_a_board_that_listens_is_met_within_a_tenth_of_a_second() -> None:
-    line = FakeLine(FakeBoard())
+def test_a_board_that_listens_is_met_within_a_tenth_of_a_second(line: FakeLine) -> None:
     with Session(line) as session:
         welcome = session.connect()
     assert welcome.boot_id == 1
     assert line.now_s() < 0.1
 
 
-def test_silence_ends_at_the_deadline_and_says_what_to_check() -> None:
-    board = FakeBoard()
+def test_silence_ends_at_the_deadline_and_says_what_to_check(board: FakeBoard) -> None:
     board.answers_hello = False
     line = FakeLine(board)
     with Session(line, handshake_timeout_s=3.0) as session, pytest.raises(HandshakeTimeout) as caught:
@@ -71,8 +68,7 @@ def test_silence_ends_at_the_deadline_and_says_what_to_check() -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_hello_is_repeated_every_tenth_of_a_second() -> None:
-    board = FakeBoard()
+def test_hello_is_repeated_every_tenth_of_a_second(board: FakeBoard) -> None:
     board.answers_hello = False
     with Session(FakeLine(board), handshake_timeout_s=2.0) as session, pytest.raises(HandshakeTimeout):
         session.connect()
@@ -82,8 +78,9 @@ def test_hello_is_repeated_every_tenth_of_a_second() -> None:
 @pytest.mark.parametrize(
     "sent", [b"Hello, I am a GPS!\r\n$GPGGA,1,2*33\r\n", b"\0\0\0\x05\x01", bytes(range(256))]
 )
-def test_bytes_that_are_not_ours_are_a_wrong_device_with_count_and_excerpt(sent: bytes) -> None:
-    board = FakeBoard()
+def test_bytes_that_are_not_ours_are_a_wrong_device_with_count_and_excerpt(
+    board: FakeBoard, sent: bytes
+) -> None:
     board.answers_hello = False
     with Session(FakeLine(board, to_host=lambda _: sent)) as session, pytest.raises(WrongDevice) as caught:
         session.connect()
@@ -94,8 +91,7 @@ def test_bytes_that_are_not_ours_are_a_wrong_device_with_count_and_excerpt(sent:
 
 
 @pytest.mark.medium
-def test_our_frames_without_an_answer_are_not_called_a_wrong_device() -> None:
-    board = FakeBoard()
+def test_our_frames_without_an_answer_are_not_called_a_wrong_device(board: FakeBoard) -> None:
     board.answers_hello = False
     line = FakeLine(board)
     board.open = True
@@ -103,8 +99,7 @@ def test_our_frames_without_an_answer_are_not_called_a_wrong_device() -> None:
         session.connect()
 
 
-def test_a_version_mismatch_names_both_versions_and_hashes_at_once() -> None:
-    board = FakeBoard()
+def test_a_version_mismatch_names_both_versions_and_hashes_at_once(board: FakeBoard) -> None:
     board.link_hash, board.link_version = 0xDEADBEEF, (2, 7)
     line = FakeLine(board)
     with Session(line) as session, pytest.raises(LinkVersionMismatch) as caught:
@@ -114,8 +109,7 @@ def test_a_version_mismatch_names_both_versions_and_hashes_at_once() -> None:
     assert line.now_s() < 0.5
 
 
-def test_a_board_that_resets_for_three_seconds_and_sends_rubbish_meanwhile_is_met() -> None:
-    board = FakeBoard()
+def test_a_board_that_resets_for_three_seconds_and_sends_rubbish_meanwhile_is_met(board: FakeBoard) -> None:
     board.answers_hello = False
     line = FakeLine(board, to_host=_rubbish_until(board, 3000))
     with Session(line) as session:
@@ -126,8 +120,7 @@ def test_a_board_that_resets_for_three_seconds_and_sends_rubbish_meanwhile_is_me
 
 
 @pytest.mark.medium
-def test_telemetry_that_flows_already_does_not_disturb_and_is_not_counted() -> None:
-    board = FakeBoard()
+def test_telemetry_that_flows_already_does_not_disturb_and_is_not_counted(board: FakeBoard) -> None:
     board.open = True
     board.answers_hello = False
     line = FakeLine(board, to_host=_tail_first())
@@ -183,9 +176,9 @@ def _tail_first() -> Callable[[bytes], bytes]:
     return damage
 
 
-def test_a_command_whose_acks_are_lost_is_repeated_and_executed_once() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_a_command_whose_acks_are_lost_is_repeated_and_executed_once(
+    board: FakeBoard, session: Session
+) -> None:
     board.lose_replies = 3
     ack = session.command(ParamSetMessage(0, Param.HOVER_V, 2.5))
     assert ack.value == 2.5
@@ -195,11 +188,9 @@ def test_a_command_whose_acks_are_lost_is_repeated_and_executed_once() -> None:
     assert len({frame.payload for _, frame in board.heard if frame.id == MessageId.PARAM_SET}) == 1
 
 
-def test_a_command_that_is_lost_on_its_way_is_repeated() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
-    line = session.transport
-    assert isinstance(line, FakeLine)
+def test_a_command_that_is_lost_on_its_way_is_repeated(
+    board: FakeBoard, line: FakeLine, session: Session
+) -> None:
     lost = [2]
 
     def lose_two(data: bytes) -> bytes:
@@ -214,9 +205,9 @@ def test_a_command_that_is_lost_on_its_way_is_repeated() -> None:
     assert session.counters.retries == 2
 
 
-def test_repeated_acks_are_not_taken_for_answers_to_later_commands() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_repeated_acks_are_not_taken_for_answers_to_later_commands(
+    board: FakeBoard, session: Session
+) -> None:
     board.repeat_replies = 3
     for index in range(20):
         assert session.command(ParamSetMessage(0, Param.HOVER_V, index / 8)).value == index / 8
@@ -224,9 +215,9 @@ def test_repeated_acks_are_not_taken_for_answers_to_later_commands() -> None:
     assert session.counters.retries == 0
 
 
-def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one(
+    board: FakeBoard, session: Session
+) -> None:
     session.command(ParamSetMessage(0, Param.HOVER_V, 1.0))
     late = ParamSetMessage.unpack(
         next(frame for _, frame in board.heard if frame.id == MessageId.PARAM_SET).payload
@@ -238,9 +229,7 @@ def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one
 
 
 @pytest.mark.medium
-def test_a_command_without_any_answer_times_out_at_its_deadline() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_a_command_without_any_answer_times_out_at_its_deadline(board: FakeBoard, session: Session) -> None:
     board.lose_replies = 10**6
     began_s = session.transport.now_s()
     with pytest.raises(CommandTimeout, match=r"did not answer arm in [0-9]+ tries"):
@@ -250,9 +239,9 @@ def test_a_command_without_any_answer_times_out_at_its_deadline() -> None:
 
 
 @pytest.mark.medium
-def test_three_hundred_commands_wrap_the_request_number_without_confusion() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_three_hundred_commands_wrap_the_request_number_without_confusion(
+    board: FakeBoard, session: Session
+) -> None:
     for index in range(300):
         session.command(ParamSetMessage(0, Param.ELEVATION_KP, index / 64))
     assert [ParamSetMessage.unpack(b"\0" + done[1:]).value for done in board.executed] == [
@@ -260,11 +249,10 @@ def test_three_hundred_commands_wrap_the_request_number_without_confusion() -> N
     ]
 
 
-def test_a_failed_check_names_the_fault_its_limit_and_the_remedy() -> None:
-    board = FakeBoard()
+def test_a_failed_check_names_the_fault_its_limit_and_the_remedy(session: Session, board: FakeBoard) -> None:
     board.refusals[MessageId.ARM] = (Result.CHECK_FAILED, Fault.NOT_AT_REST, -17.5)
     with pytest.raises(CommandRefused) as caught:
-        connected_session(board).command(ArmMessage(0))
+        session.command(ArmMessage(0))
     assert caught.value.fault is Fault.NOT_AT_REST
     assert caught.value.parameter == "arm_elevation_tolerance_deg"
     for part in ("arm", "not_at_rest", "does not rest on the table", "-17.5", "let it rest on the table"):
@@ -272,13 +260,12 @@ def test_a_failed_check_names_the_fault_its_limit_and_the_remedy() -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_wrong_state_names_the_state_and_what_to_do_first() -> None:
-    board = FakeBoard()
+def test_a_wrong_state_names_the_state_and_what_to_do_first(session: Session, board: FakeBoard) -> None:
     board.refusals[MessageId.CONTROL] = (Result.BAD_STATE, State.FAULT, 0.0)
     with pytest.raises(
         CommandRefused, match=r"control: not allowed in state fault; .*clear the fault"
     ) as caught:
-        connected_session(board).command(ControlMessage(0, 7, 0.0, 0.0))
+        session.command(ControlMessage(0, 7, 0.0, 0.0))
     assert caught.value.state is State.FAULT
 
 
@@ -291,16 +278,13 @@ def test_every_refusal_is_one_line_with_a_remedy(result: int, detail: int) -> No
     assert error.remedy
 
 
-def test_all_parameters_arrive_over_several_replies() -> None:
-    board = FakeBoard()
+def test_all_parameters_arrive_over_several_replies(session: Session, board: FakeBoard) -> None:
     board.params = [index / 4 for index in range(len(Param))]
-    assert list(connected_session(board).read_params()) == board.params
+    assert list(session.read_params()) == board.params
 
 
 @pytest.mark.medium
-def test_status_is_read_and_also_comes_by_itself() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_status_is_read_and_also_comes_by_itself(session: Session) -> None:
     received: list[StatusMessage] = []
     session.subscribe_status(received.append)
     assert session.status().illegal_travel == 11
@@ -310,18 +294,16 @@ def test_status_is_read_and_also_comes_by_itself() -> None:
     assert session.counters.board == received[-1]
 
 
-def test_a_board_that_forgot_the_session_is_greeted_again_and_the_command_executed_once() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_a_board_that_forgot_the_session_is_greeted_again_and_the_command_executed_once(
+    board: FakeBoard, session: Session
+) -> None:
     board.open = False
     assert session.command(ArmMessage(0)).result == Result.OK
     assert len(board.executed) == 1
     assert session.counters.reconnects == 1
 
 
-def test_a_command_is_not_repeated_to_a_board_that_restarted() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_a_command_is_not_repeated_to_a_board_that_restarted(board: FakeBoard, session: Session) -> None:
     session.wait(0.5)
     board.lose_replies = 1
     execute = board._execute
@@ -339,18 +321,14 @@ def test_a_command_is_not_repeated_to_a_board_that_restarted() -> None:
 
 
 @pytest.mark.medium
-def test_the_board_hears_something_at_least_five_times_a_second() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_the_board_hears_something_at_least_five_times_a_second(board: FakeBoard, session: Session) -> None:
     session.wait(10.0)
     ticks = [tick for tick, _ in board.heard]
     assert max(later - sooner for sooner, later in itertools.pairwise(ticks)) <= 220
 
 
 @pytest.mark.medium
-def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins(board: FakeBoard, session: Session) -> None:
     first_tick = board.tick
     for index in range(1000):
         session.stream(SetpointMessage(0, index * 1e-3, 0.0, 0.0))
@@ -366,9 +344,7 @@ def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins() -> None:
     assert math.isclose(SetpointMessage.unpack(last.payload).elevation_rad, 0.999, rel_tol=1e-6)
 
 
-def test_voltages_go_out_at_500_Hz_at_most() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_voltages_go_out_at_500_Hz_at_most(board: FakeBoard, session: Session) -> None:
     first_tick = board.tick
     for _ in range(500):
         session.stream(VoltagesMessage(1.0, 2.0, 50))
@@ -378,9 +354,9 @@ def test_voltages_go_out_at_500_Hz_at_most() -> None:
 
 
 @pytest.mark.medium
-def test_the_last_setpoint_is_kept_fresh_only_while_the_board_flies_on_setpoints() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_the_last_setpoint_is_kept_fresh_only_while_the_board_flies_on_setpoints(
+    board: FakeBoard, session: Session
+) -> None:
     session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
     session.wait(1.0)
     assert ticks_of_received(board, MessageId.SETPOINT) == []
@@ -398,9 +374,9 @@ def test_the_last_setpoint_is_kept_fresh_only_while_the_board_flies_on_setpoints
     assert len(ticks_of_received(board, MessageId.SETPOINT)) == before
 
 
-def test_an_ack_for_another_command_with_the_same_number_is_no_answer() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_an_ack_for_another_command_with_the_same_number_is_no_answer(
+    board: FakeBoard, session: Session
+) -> None:
     board.lose_replies = 1
     request = session._engine.commands.ask(ArmMessage(0), session.transport.now_s(), 1.0)
     board.send(AckMessage(request.command.request, MessageId.STOP, Result.OK, 0, 0.0))
@@ -439,8 +415,7 @@ def test_a_clean_line_loses_nothing() -> None:
 
 
 @pytest.mark.medium
-def test_an_unplugged_cable_is_an_event_and_the_gap_is_counted_exactly() -> None:
-    line = FakeLine(FakeBoard())
+def test_an_unplugged_cable_is_an_event_and_the_gap_is_counted_exactly(line: FakeLine) -> None:
     session = Session(line)
     seen = collected(session)
     session.connect()
@@ -458,11 +433,9 @@ def test_an_unplugged_cable_is_an_event_and_the_gap_is_counted_exactly() -> None
 
 
 @pytest.mark.medium
-def test_a_command_under_way_when_the_cable_is_pulled_is_executed_once() -> None:
-    board = FakeBoard()
-    line = FakeLine(board)
-    session = Session(line)
-    session.connect()
+def test_a_command_under_way_when_the_cable_is_pulled_is_executed_once(
+    board: FakeBoard, line: FakeLine, session: Session
+) -> None:
     session.wait(0.5)
     board.lose_replies = 1
     line.out_at_s = (line.now_s() + 0.01, line.now_s() + 0.7)
@@ -471,8 +444,7 @@ def test_a_command_under_way_when_the_cable_is_pulled_is_executed_once() -> None
 
 
 @pytest.mark.medium
-def test_a_cable_that_stays_out_ends_in_one_line_after_the_time_given() -> None:
-    line = FakeLine(FakeBoard())
+def test_a_cable_that_stays_out_ends_in_one_line_after_the_time_given(line: FakeLine) -> None:
     session = Session(line, reconnect_timeout_s=3.0)
     session.connect()
     line.out_at_s = (line.now_s() + 1.0, 1e9)
@@ -484,10 +456,7 @@ def test_a_cable_that_stays_out_ends_in_one_line_after_the_time_given() -> None:
 
 
 @pytest.mark.medium
-def test_a_board_that_falls_silent_is_greeted_and_goes_on() -> None:
-    board = FakeBoard()
-    session = Session(FakeLine(board))
-    session.connect()
+def test_a_board_that_falls_silent_is_greeted_and_goes_on(board: FakeBoard, session: Session) -> None:
     session.wait(1.0)
     board.silent = True
     session.wait_for(lambda: False, 2.0)
@@ -499,8 +468,7 @@ def test_a_board_that_falls_silent_is_greeted_and_goes_on() -> None:
 
 
 @pytest.mark.medium
-def test_a_board_silent_for_good_ends_the_wait() -> None:
-    board = FakeBoard()
+def test_a_board_silent_for_good_ends_the_wait(board: FakeBoard) -> None:
     session = Session(FakeLine(board), reconnect_timeout_s=2.0)
     session.connect()
     session.wait(0.5)
@@ -510,8 +478,7 @@ def test_a_board_silent_for_good_ends_the_wait() -> None:
 
 
 @pytest.mark.medium
-def test_a_restart_of_the_board_is_distinguished_from_a_lost_cable() -> None:
-    board = FakeBoard()
+def test_a_restart_of_the_board_is_distinguished_from_a_lost_cable(board: FakeBoard) -> None:
     session = Session(FakeLine(board))
     seen = collected(session)
     session.connect()
@@ -530,11 +497,9 @@ def test_a_restart_of_the_board_is_distinguished_from_a_lost_cable() -> None:
 
 
 @pytest.mark.medium
-def test_a_restart_that_only_the_ticks_show_is_noticed() -> None:
-    board = FakeBoard()
-    line = FakeLine(board)
-    session = Session(line)
-    session.connect()
+def test_a_restart_that_only_the_ticks_show_is_noticed(
+    board: FakeBoard, line: FakeLine, session: Session
+) -> None:
     session.wait(3.0)
     board.reboot()
     board.advance(0)
@@ -546,11 +511,9 @@ def test_a_restart_that_only_the_ticks_show_is_noticed() -> None:
 
 
 @pytest.mark.medium
-def test_a_restart_while_the_cable_is_out_is_noticed_although_the_tick_has_passed_the_old_one() -> None:
-    board = FakeBoard()
-    line = FakeLine(board)
-    session = Session(line)
-    session.connect()
+def test_a_restart_while_the_cable_is_out_is_noticed_although_the_tick_has_passed_the_old_one(
+    board: FakeBoard, line: FakeLine, session: Session
+) -> None:
     session.wait(1.0)
     line.out_at_s = (line.now_s(), line.now_s() + 6.0)
     board.reboot()
@@ -562,10 +525,7 @@ def test_a_restart_while_the_cable_is_out_is_noticed_although_the_tick_has_passe
 
 
 @pytest.mark.medium
-def test_a_restart_under_the_same_id_is_noticed_by_the_tick() -> None:
-    board = FakeBoard()
-    session = Session(FakeLine(board))
-    session.connect()
+def test_a_restart_under_the_same_id_is_noticed_by_the_tick(board: FakeBoard, session: Session) -> None:
     session.wait(3.0)
     board.reboot()
     board.boot_id -= 1
@@ -581,8 +541,9 @@ def test_a_restart_under_the_same_id_is_noticed_by_the_tick() -> None:
 @pytest.mark.medium
 @pytest.mark.slow
 @pytest.mark.parametrize("damage", ["flip", "drop", "double", "all"])
-def test_a_damaged_line_delivers_no_wrong_tick_and_counts_what_is_missing(damage: str) -> None:
-    board = FakeBoard()
+def test_a_damaged_line_delivers_no_wrong_tick_and_counts_what_is_missing(
+    board: FakeBoard, damage: str
+) -> None:
     line = FakeLine(board, to_host=damaged(damage, 1), to_board=damaged(damage, 2))
     session = Session(line)
     seen = collected(session)
@@ -625,10 +586,7 @@ def test_what_a_callback_raises_reaches_the_user_once_and_the_session_lives() ->
 
 
 @pytest.mark.medium
-def test_a_callback_may_send_commands_in_lockstep() -> None:
-    board = FakeBoard()
-    session = Session(FakeLine(board))
-    session.connect()
+def test_a_callback_may_send_commands_in_lockstep(board: FakeBoard, session: Session) -> None:
     session.wait(0.1)
     unsubscribe = session.subscribe_ticks(lambda ticks: (unsubscribe(), session.command(ArmMessage(0)))[0])
     session.wait(0.5)
@@ -636,9 +594,7 @@ def test_a_callback_may_send_commands_in_lockstep() -> None:
 
 
 @pytest.mark.medium
-def test_a_closed_session_says_so() -> None:
-    session = Session(FakeLine(FakeBoard()))
-    session.connect()
+def test_a_closed_session_says_so(session: Session) -> None:
     session.close()
     session.close()
     with pytest.raises(LinkError, match="closed; connect again"):

@@ -68,8 +68,7 @@ def executed(board: FakeBoard) -> list[MessageId]:
 
 
 @pytest.mark.medium
-def test_samples_are_the_raw_channels_in_units() -> None:
-    heli = connected(FakeBoard())
+def test_samples_are_the_raw_channels_in_units(heli: Heli) -> None:
     heli.wait(3.0)
     samples = heli.samples(last_s=1.0)
     assert len(samples) == 1000
@@ -91,8 +90,7 @@ def test_samples_are_the_raw_channels_in_units() -> None:
     assert latest.state is State.IDLE
 
 
-def test_a_negative_count_parameter_reverses_on_the_board_not_again_here() -> None:
-    board = FakeBoard()
+def test_a_negative_count_parameter_reverses_on_the_board_not_again_here(board: FakeBoard) -> None:
     board.params[Param.PITCH_COUNTS_PER_REV] = -2048.0
     sample = connected(board).latest
     assert sample.pitch_rad == pytest.approx(truth(sample.tick)[Channel.PITCH_COUNT] * 2.0 * math.pi / 2048.0)
@@ -111,8 +109,7 @@ def test_the_ring_keeps_the_newest_whatever_the_pieces() -> None:
     assert ring.newest(3).tick.tolist() == newest.tick.tolist()[-3:]
 
 
-def test_leaving_the_block_stops_motors_where_asked_to() -> None:
-    board = FakeBoard()
+def test_leaving_the_block_stops_motors_where_asked_to(board: FakeBoard) -> None:
     with connected(board, land_on_exit=False) as heli:
         heli.arm()
         heli.control()
@@ -120,46 +117,40 @@ def test_leaving_the_block_stops_motors_where_asked_to() -> None:
     assert board.state is State.IDLE
 
 
-def test_leaving_the_block_by_an_error_on_the_table_stops_the_motors() -> None:
-    board = FakeBoard()
-    with pytest.raises(KeyboardInterrupt), connected(board) as heli:
+def test_leaving_the_block_by_an_error_on_the_table_stops_the_motors(heli: Heli, board: FakeBoard) -> None:
+    with pytest.raises(KeyboardInterrupt), heli:
         heli.arm()
         raise KeyboardInterrupt
     assert executed(board) == [MessageId.ARM, MessageId.STOP]
 
 
-def test_a_heli_without_a_function_for_plans_says_where_it_is() -> None:
-    board = FakeBoard()
-    with connected(board) as heli, pytest.raises(PlanError, match="give fly_plans=heli_host"):
+def test_a_heli_without_a_function_for_plans_says_where_it_is(heli: Heli, board: FakeBoard) -> None:
+    with heli, pytest.raises(PlanError, match="give fly_plans=heli_host"):
         heli.fly("hover")
     assert executed(board) == []
 
 
-def test_a_failed_callback_does_not_keep_the_motors_running() -> None:
-    board = FakeBoard()
-
+def test_a_failed_callback_does_not_keep_the_motors_running(heli: Heli, board: FakeBoard) -> None:
     def fail(_: Samples) -> None:
         raise ValueError("full")
 
-    with pytest.raises(heli_host.HeliError, match="full"), connected(board) as heli:
+    with pytest.raises(heli_host.HeliError, match="full"), heli:
         heli.arm()
         heli.on_ticks(fail)
         heli.wait(1.0)
     assert executed(board)[-1] == MessageId.STOP
 
 
-def test_leaving_the_block_in_the_air_lands() -> None:
-    board = FakeBoard()
-    with connected(board) as heli:
+def test_leaving_the_block_in_the_air_lands(heli: Heli, board: FakeBoard) -> None:
+    with heli:
         heli.arm()
         heli.control()
     assert executed(board)[-1] == MessageId.LAND
 
 
-def test_a_landing_of_the_board_is_waited_for_and_not_cut() -> None:
+def test_a_landing_of_the_board_is_waited_for_and_not_cut(heli: Heli, board: FakeBoard) -> None:
     """An emergency landing after a landing lasts longer than ``landing_timeout_s``."""
-    board = FakeBoard()
-    with connected(board) as heli:
+    with heli:
         heli.arm()
         heli.control()
         board.state = State.EMERGENCY_LANDING
@@ -177,16 +168,13 @@ def test_a_landing_of_the_board_is_waited_for_and_not_cut() -> None:
     assert MessageId.STOP not in executed(board)
 
 
-def test_leaving_the_block_while_idle_commands_nothing() -> None:
-    board = FakeBoard()
-    with connected(board):
+def test_leaving_the_block_while_idle_commands_nothing(heli: Heli, board: FakeBoard) -> None:
+    with heli:
         pass
     assert board.executed == []
 
 
-def test_closing_the_loops_first_aims_where_the_arm_is() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_closing_the_loops_first_aims_where_the_arm_is(board: FakeBoard, heli: Heli) -> None:
     heli.arm()
     heli.control()
     limits = heli.setpoint_limits_deg()
@@ -199,9 +187,9 @@ def test_closing_the_loops_first_aims_where_the_arm_is() -> None:
     assert aimed.pitch_rad == 0.0
 
 
-def test_a_setpoint_keeps_what_it_does_not_name_and_lies_ahead_in_device_time() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_a_setpoint_keeps_what_it_does_not_name_and_lies_ahead_in_device_time(
+    board: FakeBoard, heli: Heli
+) -> None:
     heli.arm()
     heli.control()
     heli.setpoint(elevation_deg=10.0, travel_deg=-20.0)
@@ -221,8 +209,7 @@ def test_a_setpoint_keeps_what_it_does_not_name_and_lies_ahead_in_device_time() 
 
 
 @pytest.mark.medium
-def test_without_keep_alive_the_board_is_left_to_its_failsafe() -> None:
-    board = FakeBoard()
+def test_without_keep_alive_the_board_is_left_to_its_failsafe(board: FakeBoard) -> None:
     heli = connected(board, keep_alive=False)
     heli.arm()
     heli.control()
@@ -246,10 +233,8 @@ def test_without_keep_alive_the_board_is_left_to_its_failsafe() -> None:
     ],
 )
 def test_a_setpoint_outside_the_boards_limits_is_not_sent(
-    axis: str, value_deg: float, range_text: str
+    board: FakeBoard, heli: Heli, axis: str, value_deg: float, range_text: str
 ) -> None:
-    board = FakeBoard()
-    heli = connected(board)
     with pytest.raises(
         SetpointError, match=f"{axis} setpoint of .* is outside the board's limits; give {range_text}"
     ):
@@ -258,16 +243,13 @@ def test_a_setpoint_outside_the_boards_limits_is_not_sent(
     assert setpoints(board) == []
 
 
-def test_limits_are_those_of_the_boards_parameters() -> None:
-    board = FakeBoard()
+def test_limits_are_those_of_the_boards_parameters(board: FakeBoard) -> None:
     board.params[Param.ELEVATION_MAX_DEG] = 12.0
     with pytest.raises(SetpointError, match="-26 to 10 degrees"):
         connected(board).setpoint(elevation_deg=11.0)
 
 
-def test_voltages_outside_the_boards_limits_are_not_sent() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_voltages_outside_the_boards_limits_are_not_sent(board: FakeBoard, heli: Heli) -> None:
     with pytest.raises(SetpointError, match="give 0 to 10 V"):
         heli.voltages(11.0, 3.0)
     heli.voltages(2.0, 3.0, valid_s=0.02)
@@ -278,9 +260,7 @@ def test_voltages_outside_the_boards_limits_are_not_sent() -> None:
     assert sent_values == [VoltagesMessage(2.0, 3.0, 20)]
 
 
-def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones(board: FakeBoard, heli: Heli) -> None:
     heli.excite("chirp", 0.25, -0.5, start_Hz=0.5, stop_Hz=4.0, duration_s=8.0)
     sent = ExciteMessage.unpack(b"\0" + board.executed[-1][1:])
     assert sent == ExciteMessage(0, Excitation.CHIRP, 0.25, -0.5, 0.5, 4.0, 8.0, 1)
@@ -289,17 +269,14 @@ def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones() -> None:
 
 
 @pytest.mark.medium
-def test_waiting_for_what_does_not_happen_ends_in_device_time() -> None:
-    heli = connected(FakeBoard())
+def test_waiting_for_what_does_not_happen_ends_in_device_time(heli: Heli) -> None:
     began = heli.latest.tick
     with pytest.raises(WaitTimeout, match="did not happen within 2 s"):
         heli.wait_until(lambda sample: sample.state is State.FAULT, 2.0)
     assert 2000 <= heli.latest.tick - began <= 2100
 
 
-def test_parameters_read_set_and_save_by_name() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_parameters_read_set_and_save_by_name(board: FakeBoard, heli: Heli) -> None:
     assert heli.params["hover_V"] == PARAMS[Param.HOVER_V].default
     heli.params["elevation_kd"] = 0.35
     assert heli.params["elevation_kd"] == 0.35
@@ -320,19 +297,16 @@ def test_parameters_read_set_and_save_by_name() -> None:
     ],
 )
 def test_a_bad_parameter_is_one_line_with_the_range_and_nothing_is_sent(
-    name: str, value: float, words: str
+    heli: Heli, board: FakeBoard, name: str, value: float, words: str
 ) -> None:
-    board = FakeBoard()
     with pytest.raises(ParameterError) as caught:
-        connected(board).params[name] = value
+        heli.params[name] = value
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert board.executed == []
 
 
-def test_a_dump_restores_what_differs_and_only_that() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_a_dump_restores_what_differs_and_only_that(heli: Heli) -> None:
     dump = heli.params.dump()
     heli.params["elevation_kp"] = 0.75
     heli.params["hover_V"] = 2.0
@@ -340,9 +314,7 @@ def test_a_dump_restores_what_differs_and_only_that() -> None:
     assert heli.params.dump() == dump
 
 
-def test_a_dump_of_which_one_value_is_refused_changes_nothing() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_a_dump_of_which_one_value_is_refused_changes_nothing(board: FakeBoard, heli: Heli) -> None:
     before = heli.params.dump()
     execute = board._execute
 
@@ -360,17 +332,18 @@ def test_a_dump_of_which_one_value_is_refused_changes_nothing() -> None:
     assert heli.params.dump() == before
 
 
-def test_a_control_law_faster_than_telemetry_allows_is_refused_before_anything_moves() -> None:
-    board = FakeBoard()
+def test_a_control_law_faster_than_telemetry_allows_is_refused_before_anything_moves(
+    heli: Heli, board: FakeBoard
+) -> None:
     with pytest.raises(ControllerError, match="at most 250 Hz"):
-        connected(board).run_controller(lambda _: (0.0, 0.0), rate_Hz=500.0, duration_s=1.0)
+        heli.run_controller(lambda _: (0.0, 0.0), rate_Hz=500.0, duration_s=1.0)
     assert board.executed == []
 
 
 @pytest.mark.medium
-def test_a_control_law_runs_on_device_time_and_hands_over_to_the_board_afterwards() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_a_control_law_runs_on_device_time_and_hands_over_to_the_board_afterwards(
+    board: FakeBoard, heli: Heli
+) -> None:
     heli.arm()
     received: list[int] = []
 
@@ -398,10 +371,8 @@ def test_a_control_law_runs_on_device_time_and_hands_over_to_the_board_afterward
     ],
 )
 def test_a_control_law_that_fails_leaves_the_board_holding_its_position(
-    law: Callable[[Sample], tuple[float, float]], words: str
+    board: FakeBoard, heli: Heli, law: Callable[[Sample], tuple[float, float]], words: str
 ) -> None:
-    board = FakeBoard()
-    heli = connected(board)
     heli.arm()
     with pytest.raises(ControllerError, match=words):
         heli.run_controller(law, duration_s=1.0)
@@ -472,9 +443,7 @@ def test_a_200_Hz_law_in_python_flies_the_simulated_board_and_its_latency_is_mea
     assert 4.0 <= report.latency_p50_ms <= 12.0
 
 
-def test_a_setpoint_for_a_board_whose_loops_are_open_is_an_error() -> None:
-    board = FakeBoard()
-    heli = connected(board)
+def test_a_setpoint_for_a_board_whose_loops_are_open_is_an_error(board: FakeBoard, heli: Heli) -> None:
     with pytest.raises(SetpointError, match="the board is idle, and does not follow setpoints"):
         heli.setpoint(elevation_deg=1.0)
     heli.arm()

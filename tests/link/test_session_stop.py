@@ -31,12 +31,12 @@ from heli_host.link.session import Driver, Session, Subscribers
 from heli_host.link.telemetry import Ticks
 from heli_host.link.transport import SerialTransport, open_transport
 
-from tests.link.fake_board import FakeBoard, FakeLine, PtyBoard, connected_session, ticks_of_received, truth
+from tests.link.fake_board import FakeBoard, FakeLine, PtyBoard, ticks_of_received, truth
 
 
-def test_stop_returns_before_its_answer_and_is_repeated_until_it_comes() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_stop_returns_before_its_answer_and_is_repeated_until_it_comes(
+    board: FakeBoard, session: Session
+) -> None:
     session.command(ArmMessage(0))
     board.lose_replies = 2
     session.stop_now()
@@ -45,9 +45,9 @@ def test_stop_returns_before_its_answer_and_is_repeated_until_it_comes() -> None
     assert board.state == State.IDLE
 
 
-def test_stop_goes_out_while_another_command_waits_for_an_answer_that_does_not_come() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_stop_goes_out_while_another_command_waits_for_an_answer_that_does_not_come(
+    board: FakeBoard, session: Session
+) -> None:
     session.command(ArmMessage(0))
     board.lose_replies = 10_000
     ended: list[LinkError] = []
@@ -71,9 +71,9 @@ def test_stop_goes_out_while_another_command_waits_for_an_answer_that_does_not_c
     assert board.state == State.IDLE
 
 
-def test_nothing_that_starts_motors_is_sent_after_a_stop_until_it_is_released() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_nothing_that_starts_motors_is_sent_after_a_stop_until_it_is_released(
+    board: FakeBoard, session: Session
+) -> None:
     session.stop_now()
     for command in (ArmMessage(0), ControlMessage(0, 7, 0.0, 0.0)):
         with pytest.raises(LinkError, match="a stop cancelled this command"):
@@ -85,9 +85,7 @@ def test_nothing_that_starts_motors_is_sent_after_a_stop_until_it_is_released() 
     assert board.state == State.ARMED
 
 
-def test_a_wish_from_before_the_stop_releases_nothing() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_a_wish_from_before_the_stop_releases_nothing(session: Session) -> None:
     stops = session.stops
     session.stop_now()
     assert not session.release_stop(stops)
@@ -95,9 +93,9 @@ def test_a_wish_from_before_the_stop_releases_nothing() -> None:
         session.command(ArmMessage(0))
 
 
-def test_what_follows_a_stop_does_not_take_its_place_before_it_is_answered() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_what_follows_a_stop_does_not_take_its_place_before_it_is_answered(
+    board: FakeBoard, session: Session
+) -> None:
     board.lose_replies = 2
     session.stop_now()
     session.command(ParamSetMessage(0, Param.HOVER_V, 2.0))
@@ -106,9 +104,7 @@ def test_what_follows_a_stop_does_not_take_its_place_before_it_is_answered() -> 
     assert min(sets) > max(stops)
 
 
-def test_a_stop_forgets_the_setpoint_that_was_kept_alive() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_a_stop_forgets_the_setpoint_that_was_kept_alive(board: FakeBoard, session: Session) -> None:
     session.command(ArmMessage(0))
     session.command(ControlMessage(0, 7, 0.0, 0.0))
     session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
@@ -122,9 +118,9 @@ def test_a_stop_forgets_the_setpoint_that_was_kept_alive() -> None:
     assert not ticks_of_received(board, MessageId.SETPOINT)
 
 
-def test_no_setpoint_is_sent_while_none_is_permitted_and_it_goes_on_after() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_no_setpoint_is_sent_while_none_is_permitted_and_it_goes_on_after(
+    board: FakeBoard, session: Session
+) -> None:
     session.command(ArmMessage(0))
     session.command(ControlMessage(0, 7, 0.0, 0.0))
     session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
@@ -142,9 +138,7 @@ def test_no_setpoint_is_sent_while_none_is_permitted_and_it_goes_on_after() -> N
     assert len(ticks_of_received(board, MessageId.SETPOINT)) >= 4
 
 
-def test_many_threads_may_stop_at_once() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_many_threads_may_stop_at_once(board: FakeBoard, session: Session) -> None:
     session.command(ArmMessage(0))
     threads = [threading.Thread(target=session.stop_now) for _ in range(8)]
     for thread in threads:
@@ -156,9 +150,7 @@ def test_many_threads_may_stop_at_once() -> None:
     assert session.stops == 8
 
 
-def test_a_stop_passes_a_thread_that_keeps_the_lock_of_the_link() -> None:
-    board = FakeBoard()
-    session = connected_session(board)
+def test_a_stop_passes_a_thread_that_keeps_the_lock_of_the_link(board: FakeBoard, session: Session) -> None:
     session.command(ArmMessage(0))
     line = session.transport
     assert isinstance(line, FakeLine)
