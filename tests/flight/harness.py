@@ -7,6 +7,7 @@ from typing import Any
 
 from heli_host import declaration as d
 from heli_host.link.frames import Frame, FrameParser, encode_frame
+from heli_host.link.telemetry import TelemetryDecoder, Ticks
 from heli_test_native import flight
 
 REST_DEG = -25.0
@@ -134,6 +135,10 @@ class Harness:
 
     def ping(self) -> None:
         self.ask(d.PingMessage(0, 0))
+
+    def telemetry(self) -> Ticks:
+        """All samples that the board has sent."""
+        return TelemetryDecoder().decode([f.payload for f in self.frames if f.id == d.MessageId.TELEMETRY])
 
     @property
     def state(self) -> d.State:

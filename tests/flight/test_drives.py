@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from heli_host import declaration as d
 from heli_host.declaration import Event, Fault, ParamsSource, Result, State, Trigger
-from heli_host.link.telemetry import TelemetryDecoder
 from heli_test_native import link
 
 from tests.flight.harness import DUTY_FULL, PAGE_BYTES, REST_DEG, Harness
@@ -28,10 +27,11 @@ HOVER_V, DEAD_V, MOTION_V = (
 )
 
 
-def streamed(front_V: float = 0.0, back_V: float = 0.0) -> Harness:
+def streamed(front_V: float = 0.0, back_V: float = 0.0, **parameters: float) -> Harness:
     """A board on the table that a host's law drives from the first tick on."""
     harness = Harness(tracked=True)
-    harness.set("elevation_motion_V", 10.0)
+    for name, value in ({"elevation_motion_V": 10.0} | parameters).items():
+        harness.set(name, value)
     harness.arm()
     harness.ask(d.StreamMessage(0))
     drive(harness, 20, front_V, back_V)
@@ -78,12 +78,7 @@ def test_a_pitch_that_does_not_count_is_noticed_on_the_table_too() -> None:
 
 def test_a_motor_that_is_driven_backwards_has_a_dead_zone_too() -> None:
     """A pitch must move by what its dead zone leaves of a voltage, and by no more."""
-    harness = Harness(tracked=True)
-    harness.set("elevation_motion_V", 10.0)
-    harness.set("motor_min_V", -12.0)
-    harness.arm()
-    harness.ask(d.StreamMessage(0))
-    drive(harness, 20, 0.0, 0.0)
+    harness = streamed(motor_min_V=-12.0)
     drive(harness, 1500, 0.0, -(DEAD_V + 0.5 * MOTION_V))
     assert harness.state is State.STREAMED
     drive(harness, 1500, 0.0, -(DEAD_V + 2.0 * MOTION_V))
@@ -164,13 +159,14 @@ SET_BYTES = 512
 HOVER = next(spec.index for spec in d.PARAMS if spec.name == "hover_V")
 
 
-def driven(duty_full: int) -> Harness:
+def driven(duty_full: int, front_V: float = FRONT_V, back_V: float = BACK_V) -> Harness:
     """A board of which the host streams voltages to the motors."""
     harness = Harness(duty_full=duty_full)
+    assert harness.set("motor_max_V", SUPPLY_V).result == Result.OK
     harness.arm()
     harness.ask(d.StreamMessage(0))
     for _ in range(200):
-        harness.send(d.VoltagesMessage(FRONT_V, BACK_V, 50))
+        harness.send(d.VoltagesMessage(front_V, back_V, 50))
         harness.tick(10)
     return harness
 
@@ -187,23 +183,14 @@ def test_a_voltage_is_its_share_of_the_boards_own_full_duty(duty_full: int) -> N
 @pytest.mark.parametrize("duty_full", [255, 1000, 10000])
 def test_the_voltage_logged_is_the_one_that_the_duty_makes(duty_full: int) -> None:
     harness = driven(duty_full)
-    ticks = TelemetryDecoder().decode([f.payload for f in harness.frames if f.id == d.MessageId.TELEMETRY])
-    channels = {channel.name: index for index, channel in enumerate(d.CHANNELS)}
     front, back, _ = harness.motors
-    acted_mV = ticks.raw[-1, [channels["front"], channels["back"]]]
+    acted_mV = harness.telemetry().raw[-1, [d.Channel.FRONT, d.Channel.BACK]]
     assert np.abs(acted_mV - 1000 * SUPPLY_V * np.array([front, back]) / duty_full).max() <= 0.5
 
 
 @pytest.mark.parametrize("duty_full", [255, 1000])
 def test_no_duty_is_beyond_full(duty_full: int) -> None:
-    harness = Harness(duty_full=duty_full)
-    assert harness.set("motor_max_V", SUPPLY_V).result == Result.OK
-    harness.arm()
-    harness.ask(d.StreamMessage(0))
-    for _ in range(200):
-        harness.send(d.VoltagesMessage(SUPPLY_V, SUPPLY_V, 50))
-        harness.tick(10)
-    assert harness.motors == (duty_full, duty_full, True)
+    assert driven(duty_full, SUPPLY_V, SUPPLY_V).motors == (duty_full, duty_full, True)
 
 
 def saved(board: link.Board, hover_V: float) -> bool:

@@ -11,7 +11,6 @@ import pytest
 from heli_host import declaration as d
 from heli_host.declaration import Channel, Event, Fault, Result, State, Trigger
 from heli_host.link.channels import physical
-from heli_host.link.telemetry import TelemetryDecoder
 from heli_test_native import flight
 from heli_test_native.flight import ToldLaw, fault_before_arming
 
@@ -88,23 +87,22 @@ def refused_with(harness: Harness, fault: Fault) -> None:
     assert harness.motors_off
 
 
-def test_arming_is_refused_away_from_rest(harness: Harness) -> None:
-    harness.glide(0, REST_DEG + 4, 1.0)
-    harness.tick(500)
+@pytest.mark.parametrize(
+    "axis, angle_deg, rate_deg_s, wait_ticks, fault",
+    [
+        (0, REST_DEG + 4, 1.0, 500, Fault.NOT_AT_REST),
+        (0, REST_DEG - 4, 1.0, 500, Fault.NOT_AT_REST),
+        (1, 12, 20.0, 400, Fault.PITCH_NOT_LEVEL),
+        (2, 20, 30.0, 0, Fault.MOVING),
+    ],
+)
+def test_arming_is_refused_away_from_rest_tilted_or_while_moving(
+    harness: Harness, axis: int, angle_deg: float, rate_deg_s: float, wait_ticks: int, fault: Fault
+) -> None:
+    harness.glide(axis, angle_deg, rate_deg_s)
+    harness.tick(wait_ticks)
     harness.ping()
-    refused_with(harness, Fault.NOT_AT_REST)
-
-
-def test_arming_is_refused_with_the_short_arm_tilted(harness: Harness) -> None:
-    harness.glide(1, 12, 20.0)
-    harness.tick(400)
-    harness.ping()
-    refused_with(harness, Fault.PITCH_NOT_LEVEL)
-
-
-def test_arming_is_refused_while_moving(harness: Harness) -> None:
-    harness.glide(2, 20, 30.0)
-    refused_with(harness, Fault.MOVING)
+    refused_with(harness, fault)
 
 
 def test_arming_is_refused_when_parameters_contradict_each_other(harness: Harness) -> None:
@@ -123,20 +121,20 @@ def test_arming_is_refused_in_flight(flying: Harness) -> None:
 
 
 @pytest.mark.parametrize(
-    "axis, angle_deg, rate_deg_s, fault",
+    "axis, angle_deg, rate_deg_s, fault, value",
     [
-        (0, 25, 60, Fault.ELEVATION_LIMIT),
-        (1, 46, 200, Fault.PITCH_LIMIT),
-        (1, -46, 200, Fault.PITCH_LIMIT),
-        (2, 176, 100, Fault.TRAVEL_LIMIT),
-        (2, -176, 100, Fault.TRAVEL_LIMIT),
-        (0, 0, 140, Fault.ELEVATION_RATE),
-        (1, 40, 440, Fault.PITCH_RATE),
-        (2, 90, 180, Fault.TRAVEL_RATE),
+        (0, 25, 60, Fault.ELEVATION_LIMIT, 25),
+        (1, 46, 200, Fault.PITCH_LIMIT, 46),
+        (1, -46, 200, Fault.PITCH_LIMIT, -46),
+        (2, 176, 100, Fault.TRAVEL_LIMIT, 176),
+        (2, -176, 100, Fault.TRAVEL_LIMIT, -176),
+        (0, 0, 140, Fault.ELEVATION_RATE, 120),
+        (1, 40, 440, Fault.PITCH_RATE, 400),
+        (2, 90, 180, Fault.TRAVEL_RATE, 150),
     ],
 )
-def test_each_limit_ends_the_flight_and_names_itself(
-    harness: Harness, axis: int, angle_deg: float, rate_deg_s: float, fault: Fault
+def test_each_limit_ends_the_flight_and_names_itself_and_the_value(
+    harness: Harness, axis: int, angle_deg: float, rate_deg_s: float, fault: Fault, value: float
 ) -> None:
     harness.set("setpoint_hold_s", 5)
     harness.set("setpoint_land_s", 30)
@@ -145,7 +143,9 @@ def test_each_limit_ends_the_flight_and_names_itself(
     harness.tick(30)
     assert harness.state is (State.EMERGENCY_LANDING if axis == 0 else State.FAULT)
     assert harness.motors_off == (axis != 0)
-    assert harness.last_event(Event.FAULT).detail == fault
+    event = harness.last_event(Event.FAULT)
+    assert event.detail == fault
+    assert event.value == pytest.approx(value, abs=2)
 
 
 @pytest.mark.parametrize(
@@ -249,8 +249,7 @@ def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then
 
 def states_in_telemetry(harness: Harness) -> list[tuple[State, Trigger]]:
     """States with what led to them, as the samples have them, each once."""
-    batches = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY]
-    raw = TelemetryDecoder().decode(batches).raw
+    raw = harness.telemetry().raw
     pairs = [(State(row[Channel.STATE]), Trigger(row[Channel.TRIGGER])) for row in raw]
     return [pair for pair, _ in itertools.groupby(pairs)]
 
@@ -450,16 +449,8 @@ def test_stop_works_from_every_state_that_has_motors() -> None:
         harness.glide(0, 0, 60)
         harness.ask(d.LandMessage(0))
 
-    def emergency_landing(harness: Harness) -> None:
-        harness.set("travel_motion_deg", 4.0)
-        harness.arm()
-        harness.glide(0, 0, 60)
-        harness.close_loops()
-        harness.glide(1, 10.0, 60)
-        harness.keep_flying(1500)
-
     reached = set()
-    for prepare in (Harness.arm, Harness.fly, streamed, open_loop, hold, landing, emergency_landing):
+    for prepare in (Harness.arm, Harness.fly, streamed, open_loop, hold, landing, land_without_travel):
         harness = Harness()
         prepare(harness)
         reached.add(harness.state)
@@ -620,7 +611,7 @@ def test_gain_changes_act_in_the_next_tick(flying: Harness) -> None:
 
 def elevation_setpoints(harness: Harness) -> tuple[np.ndarray, np.ndarray]:
     """Ticks and elevation setpoints in degrees, each (n,)."""
-    ticks = TelemetryDecoder().decode([f.payload for f in harness.frames if f.id == d.MessageId.TELEMETRY])
+    ticks = harness.telemetry()
     return ticks.tick, np.degrees(physical(ticks.raw, d.Channel.ELEVATION_SETPOINT))
 
 
@@ -654,41 +645,13 @@ def test_a_step_becomes_a_ramp_within_slew_and_acceleration_that_does_not_oversh
     assert arrived - first == pytest.approx(2170, abs=250)
 
 
-def fault_in_telemetry(harness: Harness) -> Fault:
-    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
-    return Fault(TelemetryDecoder().decode([payload]).raw[-1, Channel.FAULT])
-
-
-def landing_without_travel() -> Harness:
-    harness = Harness()
+def land_without_travel(harness: Harness) -> None:
     harness.set("travel_motion_deg", 4.0)
     harness.arm()
     harness.glide(0, 0, 60)
     harness.close_loops()
     harness.glide(1, 10.0, 60)
     harness.keep_flying(1500)
-    assert harness.state is State.EMERGENCY_LANDING
-    return harness
-
-
-def test_arming_is_refused_below_the_table_too(harness: Harness) -> None:
-    harness.glide(0, REST_DEG - 4, 1.0)
-    harness.tick(500)
-    harness.ping()
-    reply = harness.arm()
-    assert (reply.result, reply.detail) == (Result.CHECK_FAILED, Fault.NOT_AT_REST)
-
-
-@pytest.mark.parametrize("axis", [1, 2])
-@pytest.mark.parametrize("sign", [-1, 1])
-def test_a_limit_reports_which_way_it_was_broken(harness: Harness, axis: int, sign: int) -> None:
-    harness.set("setpoint_hold_s", 5)
-    harness.set("setpoint_land_s", 30)
-    harness.fly()
-    limit_deg = (46, 176)[axis - 1]
-    harness.glide(axis, sign * limit_deg, 100)
-    harness.tick(30)
-    assert harness.last_event(Event.FAULT).value == pytest.approx(sign * limit_deg, abs=2)
 
 
 def test_late_ticks_are_reported_as_counted_since_arming(harness: Harness) -> None:
@@ -717,12 +680,14 @@ def test_a_landing_that_is_asked_for_again_and_again_ends_as_soon() -> None:
     assert len(ended_ticks) == 2 and abs(ended_ticks[1] - ended_ticks[0]) <= 5
 
 
-def test_a_landing_that_is_asked_for_once_more_does_not_erase_why_the_board_lands() -> None:
-    harness = landing_without_travel()
+def test_a_landing_that_is_asked_for_once_more_does_not_erase_why_the_board_lands(
+    harness: Harness,
+) -> None:
+    land_without_travel(harness)
     assert harness.ask(d.LandMessage(0)).result == Result.OK
     harness.tick(40)
     assert harness.state is State.EMERGENCY_LANDING
-    assert fault_in_telemetry(harness) is Fault.TRAVEL_MOTIONLESS
+    assert harness.telemetry().raw[-1, Channel.FAULT] == Fault.TRAVEL_MOTIONLESS
 
 
 def test_an_axis_that_is_held_already_keeps_its_setpoint_when_its_loop_is_asked_for() -> None:
@@ -793,17 +758,14 @@ def test_a_host_that_has_been_silent_for_half_a_second_cannot_arm() -> None:
     assert age_s == pytest.approx(0.501)
 
 
-def test_the_status_counts_the_illegal_transitions_of_each_encoder(harness: Harness) -> None:
-    for axis, transitions in enumerate((3, 5, 7)):
+@pytest.mark.parametrize(
+    "counts, reported", [((3, 5, 7), (3, 5, 7)), ((65_535, 65_536, 70_000), (65_535,) * 3)]
+)
+def test_the_status_counts_the_illegal_transitions_of_each_encoder_up_to_its_end(
+    harness: Harness, counts: tuple[int, ...], reported: tuple[int, ...]
+) -> None:
+    for axis, transitions in enumerate(counts):
         harness.break_encoder(axis, transitions)
     harness.tick(300)
     status = harness.ask(d.StatusReadMessage(0))
-    assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (3, 5, 7)
-
-
-def test_more_illegal_transitions_than_the_status_can_count_stay_at_its_end(harness: Harness) -> None:
-    for axis, transitions in enumerate((65_535, 65_536, 70_000)):
-        harness.break_encoder(axis, transitions)
-    harness.tick(300)
-    status = harness.ask(d.StatusReadMessage(0))
-    assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (65_535,) * 3
+    assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == reported

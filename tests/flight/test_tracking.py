@@ -18,7 +18,7 @@ SUPPLY_V, DEAD_ZONE_V = 12.0, 1.0
 ELEVATION, PITCH, TRAVEL = range(3)
 
 
-def board_in_level_flight(axes: int = 7, **parameters: float) -> Harness:
+def board_in_level_flight(*, axes: int = 7, **parameters: float) -> Harness:
     """A board that flies level, its arm moving a little all the time on every axis."""
     harness = Harness(tracked=True)
     for name, value in parameters.items():
@@ -146,14 +146,7 @@ def test_a_travel_that_does_not_count_while_the_arm_tilts_is_landed_without_it_a
 def balanced() -> Harness:
     """A board that flies level, in a test that holds elevation and pitch itself: only travel is watched."""
     # Pitch, which the test holds, cannot tilt to ask travel.
-    harness = Harness(tracked=True)
-    harness.set("travel_silence_s", 0.0)
-    for name in ("elevation_motion_V", "pitch_motion_V"):
-        harness.set(name, 48.0)
-    harness.arm()
-    harness.glide(ELEVATION, 0.0, 100.0)
-    harness.close_loops()
-    return harness
+    return board_in_level_flight(travel_silence_s=0.0, elevation_motion_V=48.0, pitch_motion_V=48.0)
 
 
 def turn(harness: Harness, ticks: int, *, pitch_deg: float, rate_deg_s: float = 0.0) -> None:
@@ -283,12 +276,8 @@ class Arm:
         calm: bool = False,
         **parameters: float,
     ) -> None:
-        self.harness = Harness(tracked=True)
-        for name, value in ({"elevation_motion_V": 48.0, "pitch_motion_V": 48.0} | parameters).items():
-            self.harness.set(name, value)
-        self.harness.arm()
-        self.harness.glide(ELEVATION, 0.0, 100.0)
-        self.harness.close_loops()
+        parameters = {"elevation_motion_V": 48.0, "pitch_motion_V": 48.0} | parameters
+        self.harness = board_in_level_flight(**parameters)  # type: ignore[arg-type]
         self.dead = dead
         self.friction_deg = friction_deg
         self.stir_deg = 0.0 if calm else 0.8
@@ -350,8 +339,7 @@ def test_a_dead_travel_encoder_is_named_by_tilts_to_both_sides(friction_deg: flo
     arm.hover(6.0)
     assert arm.answers[-1][1] is Probe.SILENT
     assert arm.harness.state is State.EMERGENCY_LANDING
-    event = arm.harness.last_event(Event.FAULT)
-    assert (Fault(event.detail), Trigger(event.cause)) == (Fault.TRAVEL_MOTIONLESS, Trigger.AXIS_LOST)
+    assert tripped(arm.harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.AXIS_LOST)
     assert max(arm.tilts_deg) > 8.0 and min(arm.tilts_deg) < -8.0
     # Without friction it drifts, but the tilts leave it little speed.
     assert abs(arm.travel_deg) < 15.0
@@ -379,16 +367,18 @@ def test_an_arm_that_has_answered_is_asked_after_a_longer_silence() -> None:
     assert waits_s[0] > 5.0
 
 
-def test_travel_that_counts_by_itself_is_not_asked() -> None:
-    arm = Arm()
-    arm.hover(10.0, swing_deg=0.3)
-    assert arm.answers == []
-
-
-def test_an_arm_whose_pitch_is_still_is_not_asked() -> None:
-    arm = Arm(calm=True)
-    arm.hover(30.0)
-    assert arm.answers == []
+@pytest.mark.parametrize(
+    ("arm", "seconds", "swing_deg"),
+    [
+        pytest.param({}, 10.0, 0.3, id="travel counts by itself"),
+        pytest.param({"calm": True}, 30.0, 0.0, id="pitch is still"),
+        pytest.param({"dead": True, "travel_silence_s": 0.0}, 12.0, 0.0, id="a silence of 0 s"),
+    ],
+)
+def test_an_arm_is_not_asked(arm: dict[str, Any], seconds: float, swing_deg: float) -> None:
+    hovering = Arm(**arm)
+    hovering.hover(seconds, swing_deg=swing_deg)
+    assert hovering.answers == []
 
 
 def test_an_encoder_that_dies_after_it_has_answered_is_named_too() -> None:
@@ -398,12 +388,6 @@ def test_an_encoder_that_dies_after_it_has_answered_is_named_too() -> None:
     arm.dead = True
     arm.hover(12.0)
     assert arm.answers[-1][1] is Probe.SILENT
-
-
-def test_a_silence_of_0_s_never_asks() -> None:
-    arm = Arm(dead=True, travel_silence_s=0.0)
-    arm.hover(12.0)
-    assert arm.answers == []
 
 
 def test_a_pitch_that_does_not_follow_gives_no_answer_and_no_fault() -> None:
