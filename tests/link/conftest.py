@@ -1,4 +1,4 @@
-"""A fake board, a line to it, and what is connected to it by that line."""
+"""The board's end of an open link; and a fake board, a line to it, and a host that is connected by it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,13 @@ import pytest
 from heli_host.board.heli import Heli
 from heli_host.link.session import Session
 
+from tests.link.core_harness import Harness, open_harness
 from tests.link.fake_board import FakeBoard, FakeLine
+
+
+@pytest.fixture
+def harness() -> Harness:
+    return open_harness()
 
 
 @pytest.fixture

@@ -83,8 +83,7 @@ def test_a_command_reaches_the_tick_as_it_was_sent_and_its_answer_the_host(cls: 
 
 @pytest.mark.parametrize("cls", COMMANDS, ids=named)
 @pytest.mark.parametrize("change", [-1, 1, 30])
-def test_a_command_of_wrong_length_is_refused(cls: Any, change: int) -> None:
-    harness = open_harness()
+def test_a_command_of_wrong_length_is_refused(harness: Harness, cls: Any, change: int) -> None:
     payload = bytes(min(cls.STRUCT.size + change, MAX_COMMAND_PAYLOAD))
     (ack,) = acks_in(harness.turn(harness.raw_frame(cls.ID, payload), ticks=3))
     assert (ack.command, ack.result) == (cls.ID, Result.BAD_LENGTH)
@@ -92,8 +91,7 @@ def test_a_command_of_wrong_length_is_refused(cls: Any, change: int) -> None:
 
 
 @pytest.mark.parametrize(("cls", "field", "offset"), FLOATS, ids=named)
-def test_no_field_takes_what_is_no_number(cls: Any, field: int, offset: int) -> None:
-    harness = open_harness()
+def test_no_field_takes_what_is_no_number(harness: Harness, cls: Any, field: int, offset: int) -> None:
     for value in NO_NUMBERS:
         payload = bytearray(cls.STRUCT.size)
         struct.pack_into("<f", payload, offset, value)
@@ -110,27 +108,23 @@ def test_no_field_takes_what_is_no_number(cls: Any, field: int, offset: int) -> 
 
 
 @pytest.mark.parametrize("message_id", [0, 30, 31, 35, 127])
-def test_an_unknown_command_is_answered_as_such(message_id: int) -> None:
-    harness = open_harness()
+def test_an_unknown_command_is_answered_as_such(harness: Harness, message_id: int) -> None:
     (ack,) = acks_in(harness.turn(harness.raw_frame(message_id, b"\x09rest")))
     assert (ack.request, ack.command, ack.result) == (9, message_id, Result.UNKNOWN_COMMAND)
 
 
-def test_a_board_that_hears_itself_does_not_answer_itself() -> None:
-    harness = open_harness()
+def test_a_board_that_hears_itself_does_not_answer_itself(harness: Harness) -> None:
     for message_id in range(128, 256):
         assert harness.turn(harness.raw_frame(message_id, bytes(8)), ticks=2) == []
 
 
-def test_a_board_that_hears_itself_does_not_take_itself_for_a_host() -> None:
-    harness = open_harness()
+def test_a_board_that_hears_itself_does_not_take_itself_for_a_host(harness: Harness) -> None:
     harness.turn(ticks=400)
     harness.turn(harness.raw_frame(MessageId.EVENT, bytes(11)))
     assert harness.native.ticks_since_host_frame() == 401
 
 
-def test_a_stop_is_executed_even_when_no_answer_can_leave() -> None:
-    harness = open_harness()
+def test_a_stop_is_executed_even_when_no_answer_can_leave(harness: Harness) -> None:
     harness.room = 0
     harness.ask(ArmMessage(1))
     harness.ask(ArmMessage(2))
@@ -140,15 +134,13 @@ def test_a_stop_is_executed_even_when_no_answer_can_leave() -> None:
     assert [ack.request for ack in acks_in(harness.turn())] == [3]
 
 
-def test_ping_returns_the_host_clock_and_the_tick_of_the_answer() -> None:
-    harness = open_harness()
+def test_ping_returns_the_host_clock_and_the_tick_of_the_answer(harness: Harness) -> None:
     harness.turn(ticks=100)
     (pong,) = payloads_of(harness.turn(harness.frame(PingMessage(3, 2**60 + 5))), MessageId.PONG)
     assert PongMessage.unpack(pong) == PongMessage(3, 2**60 + 5, 101)
 
 
-def test_a_pong_that_had_to_wait_carries_the_tick_at_which_it_left() -> None:
-    harness = open_harness()
+def test_a_pong_that_had_to_wait_carries_the_tick_at_which_it_left(harness: Harness) -> None:
     harness.room = 0
     sent = harness.turn(harness.frame(PingMessage(3, 5)), ticks=20)
     assert sent == []
@@ -158,8 +150,7 @@ def test_a_pong_that_had_to_wait_carries_the_tick_at_which_it_left() -> None:
 
 
 @pytest.mark.parametrize("first", [0, 1, 20, 31, 32, len(PARAMS) - 1])
-def test_params_are_read_in_table_order_at_most_32_at_a_time(first: int) -> None:
-    harness = open_harness()
+def test_params_are_read_in_table_order_at_most_32_at_a_time(harness: Harness, first: int) -> None:
     (payload,) = payloads_of(harness.ask(ParamsReadMessage(4, first)), MessageId.PARAMS)
     head = ParamsMessage.unpack(payload)
     expected = [spec.default for spec in PARAMS[first : first + 32]]
@@ -168,8 +159,7 @@ def test_params_are_read_in_table_order_at_most_32_at_a_time(first: int) -> None
     assert values == pytest.approx(expected, rel=1e-7)
 
 
-def test_there_is_nothing_to_read_beyond_the_table() -> None:
-    harness = open_harness()
+def test_there_is_nothing_to_read_beyond_the_table(harness: Harness) -> None:
     for first in (len(PARAMS), 255):
         (ack,) = acks_in(harness.ask(ParamsReadMessage(4, first)))
         assert (ack.result, ack.detail) == (Result.NO_SUCH_PARAMETER, first)
@@ -183,8 +173,7 @@ def test_saving_writes_the_flash_only_after_the_tick_agreed() -> None:
     assert harness.native.board.flash == erased
 
 
-def test_a_save_is_reported_with_its_generation_and_not_repeated() -> None:
-    harness = open_harness()
+def test_a_save_is_reported_with_its_generation_and_not_repeated(harness: Harness) -> None:
     for generation in (1, 2):
         frames = harness.ask(ParamsSaveMessage(generation))
         (ack,) = acks_in(frames)
@@ -196,8 +185,7 @@ def test_a_save_is_reported_with_its_generation_and_not_repeated() -> None:
     assert harness.native.store.source == ParamsSource.STORED
 
 
-def test_a_flash_that_does_not_hold_what_was_written_is_reported() -> None:
-    harness = open_harness()
+def test_a_flash_that_does_not_hold_what_was_written_is_reported(harness: Harness) -> None:
     harness.native.board.steps_left = 300
     frames = harness.ask(ParamsSaveMessage(1))
     (ack,) = acks_in(frames)
@@ -205,8 +193,7 @@ def test_a_flash_that_does_not_hold_what_was_written_is_reported() -> None:
     assert payloads_of(frames, MessageId.EVENT) == []
 
 
-def test_streams_reach_the_tick_unanswered_and_in_order() -> None:
-    harness = open_harness()
+def test_streams_reach_the_tick_unanswered_and_in_order(harness: Harness) -> None:
     setpoint = SetpointMessage(1000, 0.25, -0.5, 1.0)
     voltages = VoltagesMessage(3.0, 4.0, 50)
     frames = harness.turn(harness.frame(setpoint) + harness.frame(voltages), ticks=3)
@@ -214,31 +201,27 @@ def test_streams_reach_the_tick_unanswered_and_in_order() -> None:
     assert harness.streamed == [(setpoint.ID, setpoint.pack()), (voltages.ID, voltages.pack())]
 
 
-def test_of_more_streamed_values_than_the_tick_takes_the_latest_wins() -> None:
-    harness = open_harness()
+def test_of_more_streamed_values_than_the_tick_takes_the_latest_wins(harness: Harness) -> None:
     values = [VoltagesMessage(float(k), 0.0, 50) for k in range(20)]
     harness.turn(b"".join(harness.frame(value) for value in values), ticks=4)
     assert harness.streamed[-1] == (MessageId.VOLTAGES, values[-1].pack())
     assert len(harness.streamed) < 20
 
 
-def test_a_stream_of_wrong_length_is_refused_and_counted() -> None:
-    harness = open_harness()
+def test_a_stream_of_wrong_length_is_refused_and_counted(harness: Harness) -> None:
     frames = harness.turn(harness.raw_frame(MessageId.SETPOINT, bytes(15)))
     (event,) = (EventMessage.unpack(payload) for payload in payloads_of(frames, MessageId.EVENT))
     assert (event.kind, event.detail) == (Event.SETPOINT_REJECTED, Result.BAD_LENGTH)
     assert harness.status().stale_streams == 1
 
 
-def test_streams_pass_while_a_command_is_with_the_tick() -> None:
-    harness = open_harness()
+def test_streams_pass_while_a_command_is_with_the_tick(harness: Harness) -> None:
     setpoint = SetpointMessage(0, 0.1, 0.0, 0.0)
     harness.turn(harness.frame(ArmMessage(1)) + harness.frame(setpoint), ticks=2)
     assert harness.streamed == [(setpoint.ID, setpoint.pack())]
 
 
-def test_the_status_counts_what_the_parser_saw() -> None:
-    harness = open_harness()
+def test_the_status_counts_what_the_parser_saw(harness: Harness) -> None:
     harness.native.publish(17)
     harness.turn(b"garbage\0")
     harness.frame(ArmMessage(1))  # lost on the way
@@ -278,15 +261,13 @@ def test_no_bytes_keep_the_board_from_answering_a_ping(chunks: list[bytes]) -> N
     assert payloads_of(harness.ask(PingMessage(1, 1)), MessageId.PONG)
 
 
-def test_the_sequence_numbers_of_the_board_have_no_gap() -> None:
-    harness = open_harness()
+def test_the_sequence_numbers_of_the_board_have_no_gap(harness: Harness) -> None:
     frames = [frame for k in range(600) for frame in harness.turn(encode_frame(2, k, bytes(9)))]
     assert [b.seq for b in frames] == [(frames[0].seq + k) % 256 for k in range(len(frames))]
     assert len(frames) == 600
 
 
-def test_the_board_gives_the_names_of_its_controllers_and_how_many_it_has() -> None:
-    harness = open_harness()
+def test_the_board_gives_the_names_of_its_controllers_and_how_many_it_has(harness: Harness) -> None:
     for index, name in ((0, b"cascade"), (1, b"sixteen_letters_"), (2, b""), (255, b"")):
         frames = harness.turn(harness.frame(ControllerReadMessage(9, index)), ticks=2)
         (payload,) = payloads_of(frames, MessageId.CONTROLLER)
@@ -340,8 +321,7 @@ def test_another_declaration_gets_welcome_with_the_mismatch_and_no_session() -> 
     assert ack.result == Result.NO_HANDSHAKE
 
 
-def test_a_host_of_another_declaration_ends_the_session_of_the_one_before() -> None:
-    harness = open_harness()
+def test_a_host_of_another_declaration_ends_the_session_of_the_one_before(harness: Harness) -> None:
     harness.hello(link_hash=LINK_HASH ^ 1)
     assert harness.native.ticks_since_host_frame() == NEVER
     (ack,) = acks_in(harness.ask(ArmMessage(3)))
@@ -376,31 +356,27 @@ def test_a_retry_is_answered_from_memory_and_not_executed_again() -> None:
     assert harness.status().duplicates == 1
 
 
-def test_retries_that_overtake_the_answer_are_answered_once() -> None:
-    harness = open_harness()
+def test_retries_that_overtake_the_answer_are_answered_once(harness: Harness) -> None:
     frames = harness.turn(harness.frame(ArmMessage(7)) * 3, ticks=3)
     assert len(harness.executed) == 1
     assert len(acks_in(frames)) == 1
 
 
-def test_a_new_session_forgets_the_commands_of_the_old_one() -> None:
-    harness = open_harness()
+def test_a_new_session_forgets_the_commands_of_the_old_one(harness: Harness) -> None:
     harness.ask(ArmMessage(7))
     harness.hello(session=2)
     harness.ask(ArmMessage(7))
     assert len(harness.executed) == 2
 
 
-def test_the_same_session_that_reconnects_does_not_repeat_its_command() -> None:
-    harness = open_harness()
+def test_the_same_session_that_reconnects_does_not_repeat_its_command(harness: Harness) -> None:
     harness.ask(ArmMessage(7))
     harness.hello(session=1)
     harness.ask(ArmMessage(7))
     assert len(harness.executed) == 1
 
 
-def test_a_stop_is_executed_though_256_pings_brought_its_number_round_again() -> None:
-    harness = open_harness()
+def test_a_stop_is_executed_though_256_pings_brought_its_number_round_again(harness: Harness) -> None:
     harness.ask(StopMessage(9))
     for request in range(10, 10 + 255):
         harness.turn(harness.frame(PingMessage(request % 256, 0)))
@@ -408,8 +384,9 @@ def test_a_stop_is_executed_though_256_pings_brought_its_number_round_again() ->
     assert len(harness.executed) == 2
 
 
-def test_a_stop_is_executed_though_commands_of_one_byte_brought_its_number_round_again() -> None:
-    harness = open_harness()
+def test_a_stop_is_executed_though_commands_of_one_byte_brought_its_number_round_again(
+    harness: Harness,
+) -> None:
     harness.ask(StopMessage(9))
     for request in range(10, 10 + 255):
         harness.turn(harness.frame(StatusReadMessage(request % 256)))
@@ -417,16 +394,14 @@ def test_a_stop_is_executed_though_commands_of_one_byte_brought_its_number_round
     assert len(harness.executed) == 2
 
 
-def test_the_same_number_on_another_command_is_another_command() -> None:
-    harness = open_harness()
+def test_the_same_number_on_another_command_is_another_command(harness: Harness) -> None:
     harness.ask(ParamSetMessage(9, 10, 1.0))
     harness.ask(ParamSetMessage(9, 10, 2.0))
     harness.ask(StopMessage(9))
     assert len(harness.executed) == 3
 
 
-def test_one_command_at_a_time_the_second_waits_for_its_retry() -> None:
-    harness = open_harness()
+def test_one_command_at_a_time_the_second_waits_for_its_retry(harness: Harness) -> None:
     frames = harness.turn(harness.frame(ArmMessage(1)) + harness.frame(LandMessage(2)), ticks=3)
     assert [ack.request for ack in acks_in(frames)] == [1]
     (ack,) = acks_in(harness.ask(LandMessage(2)))
@@ -434,8 +409,7 @@ def test_one_command_at_a_time_the_second_waits_for_its_retry() -> None:
     assert [message_id for message_id, _ in harness.executed] == [MessageId.ARM, MessageId.LAND]
 
 
-def test_a_stop_on_the_heels_of_another_command_is_executed_without_a_retry() -> None:
-    harness = open_harness()
+def test_a_stop_on_the_heels_of_another_command_is_executed_without_a_retry(harness: Harness) -> None:
     frames = harness.turn(harness.frame(ArmMessage(1)) + harness.frame(StopMessage(2)) * 3, ticks=4)
     assert [message_id for message_id, _ in harness.executed] == [MessageId.ARM, MessageId.STOP]
     assert [ack.request for ack in acks_in(frames)] == [1, 2]

@@ -326,8 +326,7 @@ def ticks_of(frames: list[Frame]) -> list[int]:
     return [first + k for first, rows in batches(frames) for k in range(len(rows))]
 
 
-def test_every_tick_of_a_session_arrives_once_and_in_order() -> None:
-    harness = open_harness()
+def test_every_tick_of_a_session_arrives_once_and_in_order(harness: Harness) -> None:
     start = harness.tick
     raw = np.random.default_rng(1).integers(-100, 100, (400, len(Channel))).astype(np.int32)
     raw[:, UNSIGNED] &= 7
@@ -352,36 +351,31 @@ def test_a_batch_has_as_many_ticks_as_the_parameter_says() -> None:
         assert set(sizes[2:]) == {count}
 
 
-def test_a_gap_in_the_ticks_ends_a_batch() -> None:
-    harness = open_harness()
+def test_a_gap_in_the_ticks_ends_a_batch(harness: Harness) -> None:
     harness.native.push_samples(100, slowly_changing_samples(7))
     harness.native.push_samples(200, slowly_changing_samples(20))
     assert [(first, len(rows)) for first, rows in batches(harness.turn())] == [(100, 7), (200, 20)]
 
 
-def test_tick_numbers_may_wrap() -> None:
-    harness = open_harness()
+def test_tick_numbers_may_wrap(harness: Harness) -> None:
     harness.native.push_samples(2**32 - 10, slowly_changing_samples(20))
     assert [(first, len(rows)) for first, rows in batches(harness.turn())] == [(2**32 - 10, 20)]
 
 
-def test_an_idle_loop_that_is_late_loses_nothing_within_the_ring() -> None:
-    harness = open_harness()
+def test_an_idle_loop_that_is_late_loses_nothing_within_the_ring(harness: Harness) -> None:
     harness.native.push_samples(0, slowly_changing_samples(RING_TICKS))
     frames = harness.turn()
     harness.native.push_samples(RING_TICKS, slowly_changing_samples(16))
     assert ticks_of(frames + harness.turn()) == list(range(80))
 
 
-def test_ticks_beyond_the_ring_are_lost_and_counted() -> None:
-    harness = open_harness()
+def test_ticks_beyond_the_ring_are_lost_and_counted(harness: Harness) -> None:
     harness.native.push_samples(0, slowly_changing_samples(RING_TICKS + 9))
     harness.turn()
     assert harness.status().ticks_dropped == 9
 
 
-def test_a_full_line_costs_whole_batches_which_are_counted() -> None:
-    harness = open_harness()
+def test_a_full_line_costs_whole_batches_which_are_counted(harness: Harness) -> None:
     harness.room = 0
     start = harness.tick
     frames: list[Frame] = []
@@ -399,8 +393,7 @@ def test_a_full_line_costs_whole_batches_which_are_counted() -> None:
     assert seen[0] >= start + 500 - RING_TICKS
 
 
-def test_replies_leave_before_events_and_events_before_telemetry() -> None:
-    harness = open_harness()
+def test_replies_leave_before_events_and_events_before_telemetry(harness: Harness) -> None:
     harness.room = 0
     harness.native.push_event(0, 1)
     harness.native.push_samples(0, slowly_changing_samples(20))
@@ -419,14 +412,12 @@ def test_the_board_never_sends_more_than_there_is_room_for(rooms: list[int]) -> 
         turn_with_sample(harness, slowly_changing_samples(1)[0], harness.frame(PingMessage(number % 256, 0)))
 
 
-def test_status_comes_once_a_second_by_itself() -> None:
-    harness = open_harness()
+def test_status_comes_once_a_second_by_itself(harness: Harness) -> None:
     frames = harness.turn(ticks=5000)
     assert [payload[0] for payload in payloads_of(frames, MessageId.STATUS)] == [0] * 5
 
 
-def test_of_too_many_events_the_first_sixteen_are_kept() -> None:
-    harness = open_harness()
+def test_of_too_many_events_the_first_sixteen_are_kept(harness: Harness) -> None:
     for tick in range(30):
         harness.native.push_event(tick, 1)
     events = payloads_of(harness.turn(), MessageId.EVENT)
