@@ -25,7 +25,6 @@ from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly
 
 from tests.fly.test_runner import SHORT, flown, short
-from tests.sil.harness import PATIENT
 
 pytestmark = pytest.mark.medium
 
@@ -143,22 +142,24 @@ def test_a_disk_that_fills_during_a_check_is_the_reason_of_the_end() -> None:
         monitor.check(1.0)
 
 
-def test_over_a_port_a_full_disk_lands_the_rig_and_is_reported_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    process = pytest.importorskip("heli_sim.sil.transport", reason="skipped: no simulation")
+def disk_of(byte_count: int) -> type[io.FileIO]:
+    """Return a class of files on a disk that refuses to write behind so many bytes."""
 
     class FullDisk(io.FileIO):
         def write(self, data: object) -> int:
-            if self.tell() > 120_000:
+            if self.tell() >= byte_count:
                 raise OSError(errno.ENOSPC, "No space left on device")
             return super().write(data)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", FullDisk)
-    with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
-        heli.params.restore(PATIENT)
-        summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
-        assert heli.state is State.IDLE
+    return FullDisk
+
+
+def test_over_a_port_a_full_disk_lands_the_rig_and_is_reported_first(
+    heli_at_a_port: Heli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", disk_of(120_000))
+    summary = fly(heli_at_a_port, short(), log_path=tmp_path / "a.mcap")
+    assert heli_at_a_port.state is State.IDLE
     assert summary.outcome.startswith("aborted: cannot write the log"), summary.outcome
     assert "No space left on device" in summary.outcome
     log = read_log(tmp_path / "a.mcap")
@@ -180,59 +181,35 @@ def test_a_disk_that_gets_full_lands_while_the_log_can_still_be_written(
 
 
 def test_without_space_for_the_flight_nothing_is_armed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    heli: Heli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(disk, "free_bytes", lambda _: 5_000_000)
-    with connect("sil://?seed=3") as heli:
-        with pytest.raises(LogWriteError, match=r"has 5\.0 MB left"):
-            fly(heli, short(), log_path=tmp_path / "a.mcap")
-        assert heli.state is State.IDLE
+    with pytest.raises(LogWriteError, match=r"has 5\.0 MB left"):
+        fly(heli, short(), log_path=tmp_path / "a.mcap")
+    assert heli.state is State.IDLE
     assert not (tmp_path / "a.mcap").exists()
 
 
-def test_a_log_that_is_there_is_refused_before_anything_is_armed(tmp_path: Path) -> None:
-    (tmp_path / "a.mcap").write_bytes(b"an older flight")
-    with connect("sil://?seed=3") as heli:
-        with pytest.raises(LogWriteError, match="never replaces a log"):
-            fly(heli, short(), log_path=tmp_path / "a.mcap")
-        assert heli.state is State.IDLE
-    assert (tmp_path / "a.mcap").read_bytes() == b"an older flight"
-
-
 def test_a_disk_that_takes_not_even_the_beginning_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    heli_at_a_port: Heli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    process = pytest.importorskip("heli_sim.sil.transport", reason="skipped: no simulation")
-
-    class FullDisk(io.FileIO):
-        def write(self, _: object) -> int:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", FullDisk)
-    with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
-        heli.params.restore(PATIENT)
-        try:
-            outcome = fly(heli, short(), log_path=tmp_path / "a.mcap").outcome
-        except LogWriteError as error:
-            outcome = f"aborted: {error}"
-        assert heli.state is State.IDLE and heli.latest.elevation_deg < -24.0
+    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", disk_of(0))
+    try:
+        outcome = fly(heli_at_a_port, short(), log_path=tmp_path / "a.mcap").outcome
+    except LogWriteError as error:
+        outcome = f"aborted: {error}"
+    assert heli_at_a_port.state is State.IDLE and heli_at_a_port.latest.elevation_deg < -24.0
     assert outcome.startswith("aborted: cannot write the log")
 
 
 def test_a_recording_by_hand_raises_at_its_end_what_stopped_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    heli: Heli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class FullDisk(io.FileIO):
-        def write(self, data: object) -> int:
-            if self.tell() > 20_000:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return super().write(data)  # type: ignore[arg-type]
+    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", disk_of(20_000))
 
-    monkeypatch.setattr("heli_host.data.log.disk.io.FileIO", FullDisk)
-
-    def record(heli: Heli) -> None:
+    def record() -> None:
         with Recorder(heli, tmp_path / "a.mcap"):
             heli.wait(5.0)
 
-    with connect("sil://?seed=3") as heli, pytest.raises(LogWriteError, match="No space left"):
-        record(heli)
+    with pytest.raises(LogWriteError, match="No space left"):
+        record()

@@ -26,7 +26,7 @@ from heli_host.fly.tracking import TrackingMonitor
 from heli_host.link.telemetry import Ticks
 
 from tests.running.pixels import coloured_share
-from tests.sil.harness import PATIENT, SOON_LANDING, world_of
+from tests.sil.harness import SOON_LANDING, world_of
 
 pytestmark = pytest.mark.medium
 
@@ -69,30 +69,43 @@ def flown(
     return summary, read_log(path), state
 
 
-def raising(error: BaseException, at_s: float, *more_at_s: float) -> Callable[[Progress], None]:
+def raising(error: BaseException, *at_s: float) -> Callable[[Progress], None]:
     """Return a progress callback that raises at a time, and again at later ones."""
-    due_s = [at_s, *more_at_s]
+
+    def fail() -> None:
+        raise error
+
+    return calling(fail, *at_s)
+
+
+def signalling(*at_s: float) -> Callable[[Progress], None]:
+    """Return a progress callback that is interrupted by signals."""
+    return calling(lambda: signal.raise_signal(signal.SIGINT), *at_s)
+
+
+def calling(action: Callable[[], None], *at_s: float) -> Callable[[Progress], None]:
+    """Return a progress callback that calls `action` at each of these times."""
+    due_s = list(at_s)
 
     def call(progress: Progress) -> None:
         if due_s and progress.t_s >= due_s[0]:
             due_s.pop(0)
-            raise error
+            action()
 
     return call
 
 
 @pytest.mark.slow
-def test_a_plan_is_flown_landed_and_logged(tmp_path: Path) -> None:
-    with connect("sil://?seed=3") as heli:
-        summary = fly(
-            heli,
-            short(),
-            log_path=tmp_path / "a.mcap",
-            json_path=tmp_path / "summary.json",
-            figure_path=tmp_path / "figure.png",
-            rig_name="makki2024",
-        )
-        assert heli.state is State.IDLE
+def test_a_plan_is_flown_landed_and_logged(heli: Heli, tmp_path: Path) -> None:
+    summary = fly(
+        heli,
+        short(),
+        log_path=tmp_path / "a.mcap",
+        json_path=tmp_path / "summary.json",
+        figure_path=tmp_path / "figure.png",
+        rig_name="makki2024",
+    )
+    assert heli.state is State.IDLE
     assert summary.completed and summary.ticks_lost == 0
     assert summary.plans == ("short",)
     for axis in ("elevation", "travel"):
@@ -153,35 +166,35 @@ def test_an_excitation_acts_in_its_segment_and_nowhere_else(tmp_path: Path) -> N
     assert during_s[-1] - during_s[0] == pytest.approx(3.0, abs=0.05)
 
 
-def test_a_plan_that_leaves_the_limits_moves_nothing(tmp_path: Path) -> None:
-    plan = short(SHORT.replace("travel_deg = 6", "travel_deg = 172"))
-    with connect("sil://?seed=3") as heli:
-        with pytest.raises(PlanError, match=r"short\.toml, segment 1 \(ramp\).*travel_max_deg - 5"):
-            fly(heli, plan, log_path=tmp_path / "a.mcap")
-        with pytest.raises(PlanError, match="did you mean hover"):
-            fly(heli, "hoover", log_path=tmp_path / "a.mcap")
-        assert heli.state is State.IDLE
+BEYOND_ITS_LIMITS = short(SHORT.replace("travel_deg = 6", "travel_deg = 172"))
+
+
+def test_a_plan_that_leaves_the_limits_moves_nothing(heli: Heli, tmp_path: Path) -> None:
+    with pytest.raises(PlanError, match=r"short\.toml, segment 1 \(ramp\).*travel_max_deg - 5"):
+        fly(heli, BEYOND_ITS_LIMITS, log_path=tmp_path / "a.mcap")
+    with pytest.raises(PlanError, match="did you mean hover"):
+        fly(heli, "hoover", log_path=tmp_path / "a.mcap")
+    assert heli.state is State.IDLE
     assert not (tmp_path / "a.mcap").exists()
 
 
-def test_a_log_that_cannot_be_created_moves_nothing(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_created_moves_nothing(heli: Heli, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with connect("sil://?seed=3") as heli:
-        with pytest.raises(LogWriteError):
-            fly(heli, short(), log_path=tmp_path / "file" / "a.mcap")
-        assert heli.state is State.IDLE
+    with pytest.raises(LogWriteError):
+        fly(heli, short(), log_path=tmp_path / "file" / "a.mcap")
+    assert heli.state is State.IDLE
 
 
-def test_a_refused_plan_leaves_the_log_that_it_was_to_write_over(tmp_path: Path) -> None:
+def test_a_refused_plan_leaves_the_log_that_it_was_to_write_over(heli: Heli, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     path.write_bytes(b"an older flight")
-    with connect("sil://?seed=3") as heli:
-        with pytest.raises(PlanError):
-            heli.fly(short(SHORT.replace("travel_deg = 6", "travel_deg = 172")), log=path, overwrite=True)
-        assert path.read_bytes() == b"an older flight"
-        with pytest.raises(LogWriteError, match="exists already, and heli-host never replaces a log"):
-            heli.fly(short(), log=path)
-        assert heli.fly(short(), log=path, overwrite=True).completed
+    with pytest.raises(PlanError):
+        heli.fly(BEYOND_ITS_LIMITS, log=path, overwrite=True)
+    with pytest.raises(LogWriteError, match="exists already, and heli-host never replaces a log"):
+        heli.fly(short(), log=path)
+    assert heli.state is State.IDLE
+    assert path.read_bytes() == b"an older flight"
+    assert heli.fly(short(), log=path, overwrite=True).completed
     assert len(read_log(path).ticks) > 5000
 
 
@@ -219,18 +232,6 @@ def test_a_second_ctrl_c_stops_the_motors_at_once(tmp_path: Path) -> None:
     assert state is State.IDLE and log.complete
     assert any("because of stop" in event["message"] for event in log.events)
     assert log.ticks["t_s"][-1] < 6.5
-
-
-def signalling(*at_s: float) -> Callable[[Progress], None]:
-    """Return a progress callback that is interrupted by signals."""
-    due_s = list(at_s)
-
-    def call(progress: Progress) -> None:
-        if due_s and progress.t_s >= due_s[0]:
-            due_s.pop(0)
-            signal.raise_signal(signal.SIGINT)
-
-    return call
 
 
 def interrupts(log: Log) -> list[str]:
@@ -272,24 +273,19 @@ def test_a_ctrl_c_while_the_plan_lands_stops_the_motors_and_says_when(tmp_path: 
     assert state is State.IDLE and log.complete
 
 
-def test_an_error_of_the_callers_own_while_landing_comes_back_when_the_arm_is_down(tmp_path: Path) -> None:
-    path, duration_s = tmp_path / "a.mcap", short().route.duration_s
-    with connect("sil://?seed=3") as heli:
-        with pytest.raises(ZeroDivisionError):
-            fly(heli, short(), log_path=path, on_progress=raising(ZeroDivisionError(), duration_s + 7.0))
-        assert heli.state is State.IDLE
-        assert heli.latest.elevation_deg < -20.0
+@pytest.mark.parametrize(
+    ("at_s", "outcome"), [(4.0, "ZeroDivisionError"), (short().route.duration_s + 7.0, "completed")]
+)
+def test_an_error_of_the_callers_own_comes_back_when_the_arm_is_down(
+    heli: Heli, tmp_path: Path, at_s: float, outcome: str
+) -> None:
+    path = tmp_path / "a.mcap"
+    with pytest.raises(ZeroDivisionError):
+        fly(heli, short(), log_path=path, on_progress=raising(ZeroDivisionError(), at_s))
+    assert heli.state is State.IDLE
+    assert heli.latest.elevation_deg < -20.0
     log = read_log(path)
-    assert any("touchdown" in event["message"] for event in log.events)
-
-
-def test_an_error_of_the_callers_own_comes_back_after_the_landing(tmp_path: Path) -> None:
-    with connect("sil://?seed=3") as heli:
-        with pytest.raises(ZeroDivisionError):
-            fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=raising(ZeroDivisionError(), 4.0))
-        assert heli.state is State.IDLE
-    log = read_log(tmp_path / "a.mcap")
-    assert log.complete and "ZeroDivisionError" in log.metadata["result"]["outcome"]
+    assert log.complete and outcome in log.metadata["result"]["outcome"]
     assert any("touchdown" in event["message"] for event in log.events)
 
 
@@ -397,23 +393,23 @@ def test_setpoints_go_on_by_the_clock_while_samples_do_not_come(
     assert not [event for event in summary.events if event["name"] == "setpoint_stale"]
 
 
-def test_without_a_log_path_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_log_path_nothing_is_left(
+    heli: Heli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    with connect("sil://?seed=3") as heli:
-        summary = fly(heli, short())
+    summary = fly(heli, short())
     assert summary.completed and summary.ticks_logged > 10_000 and summary.log == ""
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_recorder_without_a_plan_takes_what_comes(tmp_path: Path) -> None:
-    with connect("sil://?seed=3") as heli:
-        with Recorder(heli, tmp_path / "a.mcap", rig_name="bench") as recorder:
-            heli.take_off()
-            recorder.note("remark", "by hand")
-            heli.params["hover_V"] = 1.5
-            heli.land()
-        assert recorder.counters.ticks_lost == 0
+def test_a_recorder_without_a_plan_takes_what_comes(heli: Heli, tmp_path: Path) -> None:
+    with Recorder(heli, tmp_path / "a.mcap", rig_name="bench") as recorder:
+        heli.take_off()
+        recorder.note("remark", "by hand")
+        heli.params["hover_V"] = 1.5
+        heli.land()
+    assert recorder.counters.ticks_lost == 0
     log = read_log(tmp_path / "a.mcap")
     assert log.complete and log.metadata["result"]["outcome"] == "recorded"
     assert log.metadata["parameters_changed"] == {"hover_V": "1.5"}
@@ -421,13 +417,10 @@ def test_a_recorder_without_a_plan_takes_what_comes(tmp_path: Path) -> None:
     assert "by hand" in [event["message"] for event in log.events]
 
 
-def test_over_a_pseudo_terminal_it_flies_the_same(tmp_path: Path) -> None:
-    process = pytest.importorskip("heli_sim.sil.transport", reason="skipped: no simulation")
-    with process.SilProcess(speed=None) as sil, connect(sil.url) as heli:
-        heli.params.restore(PATIENT)
-        received: list[Progress] = []
-        summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=received.append)
-        assert heli.state is State.IDLE
+def test_over_a_pseudo_terminal_it_flies_the_same(heli_at_a_port: Heli, tmp_path: Path) -> None:
+    received: list[Progress] = []
+    summary = fly(heli_at_a_port, short(), log_path=tmp_path / "a.mcap", on_progress=received.append)
+    assert heli_at_a_port.state is State.IDLE
     assert summary.completed and summary.ticks_lost == 0
     assert {"take-off", "short", "landing"} <= {progress.phase for progress in received}
 
