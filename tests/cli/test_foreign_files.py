@@ -33,12 +33,8 @@ from heli_sim.rig import load_rig, rig_text, write_rig
 from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 
-from tests.cli.terminal import Terminal, refusal, terminal
+from tests.cli.terminal import Terminal, refusal
 from tests.log.made import make_samples, open_writer
-
-__all__ = [
-    "terminal",
-]
 
 ASKED, FILE = 2, 5
 NAMES = "t_s,front_V,back_V,elevation_rad,pitch_rad,travel_rad\n"

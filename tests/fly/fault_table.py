@@ -29,7 +29,7 @@ from heli_sim.sil.world import SilWorld
 
 from tests.firmware.desk import BRANCH_TO_SELF, SLOWEST_Hz
 from tests.firmware.desk import TICK as TICK_SYMBOL
-from tests.sil.harness import due_of, world_of
+from tests.sil.harness import due_of, turn_unseen, world_of
 
 SHORT: Final = Plan.parse(
     '[start]\nsettle_s = 1\n[[segment]]\nkind = "ramp"\ntravel_deg = 5\nduration_s = 3\n'
@@ -270,16 +270,9 @@ def _jump(axis: int) -> Callable[[Struck, int], None]:
     """Return a blow after which an encoder counts from another angle, while the arm has not moved."""
 
     def blow(struck: Struck, ms: int) -> None:
-        world = struck.world
-        if ms > 1:
-            return
         # The arm turns while the plug is out, and returns while the encoder counts.
-        state = world.state
-        state[axis] += np.deg2rad(_JUMP_DEG) * (1 if ms == 0 else -1)
-        world.state = state
-        out = [False] * 3
-        out[axis] = ms == 0
-        world.native.encoders_out = out
+        if ms <= 1:
+            turn_unseen(struck.world, axis, _JUMP_DEG if ms == 0 else -_JUMP_DEG, unseen=ms == 0)
 
     return blow
 
@@ -383,12 +376,7 @@ def _wiring(what: str, options: str, says: str, within_s: float) -> Case:
     return Case(what, f"fault {says}", within_s, 0.0, options, plan="step")
 
 
-CASES: Final = (
-    _sine("no encoder counts from the start", "encoder_out=elevation,pitch,travel", _ELEVATION, 1.5),
-    _sine("the elevation encoder is out from the start", "encoder_out=elevation", _ELEVATION, 1.5),
-    _sine("the pitch encoder is out from the start", "encoder_out=pitch", _PITCH, 12.0),
-    _sine("the travel encoder is out from the start", "encoder_out=travel", _TRAVEL_DEAD, 12.0),
-    _sine("no motor has a supply", "supply_out=0", _ELEVATION, 1.5),
+WIRINGS: Final = (
     _wiring("the elevation encoder counts backwards", "encoder_scale=elevation:-1", "elevation_sign", 0.3),
     _wiring("the pitch encoder counts backwards", "encoder_scale=pitch:-1", "pitch_sign", 12.0),
     _wiring("the travel encoder counts backwards", "encoder_scale=travel:-1", "travel_sign", 13.0),
@@ -396,6 +384,14 @@ CASES: Final = (
     _wiring("the back motor turns backwards", "motor_sign=back:-1", "pitch_sign", 0.6),
     _wiring("both motors turn backwards", "motor_sign=front:-1,back:-1", "elevation_following", 4.0),
     _wiring("the motors are exchanged", "motors_swapped=1", "pitch_sign", 12.0),
+)
+CASES: Final = (
+    _sine("no encoder counts from the start", "encoder_out=elevation,pitch,travel", _ELEVATION, 1.5),
+    _sine("the elevation encoder is out from the start", "encoder_out=elevation", _ELEVATION, 1.5),
+    _sine("the pitch encoder is out from the start", "encoder_out=pitch", _PITCH, 12.0),
+    _sine("the travel encoder is out from the start", "encoder_out=travel", _TRAVEL_DEAD, 12.0),
+    _sine("no motor has a supply", "supply_out=0", _ELEVATION, 1.5),
+    *WIRINGS,
     Case(
         "the plug of the elevation encoder falls off for 1 s in flight",
         "fault elevation_rest",

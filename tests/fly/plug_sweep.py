@@ -25,7 +25,8 @@ from heli_sim.rig import Rig, load_rig, write_rig
 from heli_sim.rig.schema import ENCODER_COUNTS
 
 from tests.fly.fault_sweep import PLANS
-from tests.sil.harness import world_of
+from tests.fly.fault_table import WIRINGS
+from tests.sil.harness import turn_unseen, world_of
 
 WRONG_DEG: Final = 2.0
 """A completed flight must not end with a larger error of a reading that any encoder could have shown."""
@@ -35,15 +36,6 @@ _SETTLES_S: Final = 1.5
 _SWINGS_S: Final = 6.0
 _JUMPS_DEG: Final = (2.0, 5.0, 8.0, 12.0, 25.0)
 _CLOSED: Final = int(State.CLOSED_LOOP)
-SIGNS: Final = {
-    "the elevation encoder counts backwards": ("encoder_scale=elevation:-1", "elevation_sign"),
-    "the pitch encoder counts backwards": ("encoder_scale=pitch:-1", "pitch_sign"),
-    "the travel encoder counts backwards": ("encoder_scale=travel:-1", "travel_sign"),
-    "the front motor turns backwards": ("motor_sign=front:-1", "pitch_sign"),
-    "the back motor turns backwards": ("motor_sign=back:-1", "pitch_sign"),
-    "both motors turn backwards": ("motor_sign=front:-1,back:-1", "elevation_following"),
-    "the motors are exchanged": ("motors_swapped=1", "pitch_sign"),
-}
 
 
 @dataclass(frozen=True)
@@ -130,7 +122,9 @@ def flown(case: Case) -> Flown:
                     if before > 0:
                         received += advance(before, rx)
                         ticks, rx = ticks - before, b""
-                    _turn_unseen(world, case.axis, case.jump_deg, back=len(jump_ticks) == 1)
+                    unseen = len(jump_ticks) == 2
+                    turn_deg = -case.jump_deg if unseen else case.jump_deg
+                    turn_unseen(world, case.axis, turn_deg, unseen=unseen)
                     del jump_ticks[0]
                 received += advance(ticks, rx, **named)
                 note()
@@ -144,16 +138,6 @@ def flown(case: Case) -> Flown:
             for _ in range(round(_SWINGS_S / 0.05)):
                 watched(50)
     return _judged(outcome, np.vstack(telemetry), np.array(truth), end)
-
-
-def _turn_unseen(world: Any, axis: int, jump_deg: float, *, back: bool) -> None:
-    """Turn the arm while its encoder is out, or turn it back while it counts: the reading has jumped then."""
-    state = world.state
-    state[axis] += np.radians(jump_deg) * (1.0 if back else -1.0)
-    world.state = state
-    out = [False] * len(AXES)
-    out[axis] = not back
-    world.native.encoders_out = out
 
 
 def _judged(
@@ -279,11 +263,12 @@ def dead_table(count: int, seed: int) -> list[str]:
 def sign_table(count: int) -> list[str]:
     """Fly every wrong sign in two plans, and return a table."""
     lines = []
-    for what, (options, name) in SIGNS.items():
-        cases = (Case(("step", "identify")[k % 2], options, seed=k + 1) for k in range(count))
+    for wiring in WIRINGS:
+        cases = (Case(("step", "identify")[k % 2], wiring.options, seed=k + 1) for k in range(count))
         flights = [flown(case) for case in cases]
+        name = wiring.says.removeprefix("fault ")
         lines.append(
-            f"| {what} | {count} | {sum(flight.name == name for flight in flights)} `{name}` "
+            f"| {wiring.what} | {count} | {sum(flight.name == name for flight in flights)} `{name}` "
             f"| {max(flight.closed_s for flight in flights):.2f} "
             f"| {max(flight.most_V for flight in flights):.1f} V "
             f"| {max(flight.tilt_deg for flight in flights):.0f} degrees "

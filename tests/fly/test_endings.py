@@ -31,7 +31,7 @@ from heli_sim.rig import Rig, load_rig, write_rig
 from heli_sim.sil.transport import SilProcess
 
 from tests.running.long import samples
-from tests.sil.harness import world_of
+from tests.sil.harness import turn_unseen, world_of
 
 pytestmark = pytest.mark.medium
 
@@ -354,13 +354,10 @@ def slipping(heli: Heli, axis: int, shift_deg: float) -> Callable[[], None]:
     def slip() -> None:
         if not steps:
             return
-        step_rad = np.radians(steps.pop())
+        step_deg = steps.pop()
         # Without its plug the encoder does not see the arm turn back, and then counts the way there.
-        for is_out, turn_rad in ((True, -step_rad), (False, step_rad)):
-            world.native.encoders_out = [is_out and index == axis for index in range(3)]
-            state = world.state
-            state[axis] += turn_rad
-            world.state = state
+        for unseen, turn_deg in ((True, -step_deg), (False, step_deg)):
+            turn_unseen(world, axis, turn_deg, unseen=unseen)
             heli.wait(0.001)
 
     return slip

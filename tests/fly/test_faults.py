@@ -98,8 +98,6 @@ def test_without_a_cable_the_board_does_what_it_does_without_a_host() -> None:
             assert off_s[f"| {case.what}"].partition(" |")[0] == off_text
 
 
-pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
-
 SWEEP_DOCUMENT = Path("docs/validation/faults.md")
 TRAVEL = (
     SweptCase("paper", "drift", "travel", 10.5),
@@ -193,9 +191,6 @@ def test_without_the_elevation_encoder_the_arm_is_lowered_not_dropped() -> None:
     flight = plug_sweep.flown(case)
     assert flight.name == "elevation_motionless"
     assert flight.drop_deg <= plug_sweep.DROP_DEG
-
-
-pytest.importorskip("heli_sim._native", reason="skipped: the simulation is not built")
 
 
 OFF = {

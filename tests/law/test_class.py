@@ -49,7 +49,7 @@ from heli_lab.control.program_json import law_of_program
 from heli_lab.law import Command, Law, control_law
 from heli_lab.verbs.classroom import _write_marks
 
-from tests.cli.terminal import Terminal, terminal
+from tests.cli.terminal import Terminal
 from tests.law.hostile import PITCH_STOP_deg, STOP_deg
 from tests.running.long import LONG
 
@@ -237,11 +237,6 @@ def problems(folder: Path, first: Marked, second: Marked, before: str) -> list[s
         again = {**second.marks.get(name, {}), "rig": mark["rig"]}
         checks[f"{name}: the second mark is another"] = mark == again
     return [text for text, good in checks.items() if not good]
-
-
-__all__ = [
-    "terminal",
-]
 
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -19,11 +19,9 @@ from heli_lab.control.program_json import law_of_program, program_json, program_
 from heli_lab.law import Command, control_law, law_rig
 from heli_sim.rig import load_rig, write_rig
 
-from tests.cli.terminal import Terminal, refusal, terminal
+from tests.cli.terminal import Terminal, refusal
 from tests.law.flown import LAWS, law_of
 from tests.running.long import samples
-
-__all__ = ["terminal"]
 
 # ruff: noqa: E501  -- a row each
 

@@ -38,16 +38,11 @@ from heli_lab.law import Command, Law, control_law, from_gain
 from heli_sim.rig import load_rig
 from heli_sim.sil.inprocess import InProcessTransport
 
-from tests.cli.terminal import Terminal, terminal
+from tests.cli.terminal import Terminal
 from tests.law.flown import LAWS, fly, law_of, replayed
 from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MAX_deg, Volts, follows, hostile, motors, tries
 from tests.link.core_harness import Harness, open_harness, payloads_of
 from tests.running.long import LONG, samples
-
-__all__ = [
-    "terminal",
-]
-
 
 NAMES = ("cascade", "feedback_linearisation", "gain_scheduled", "input_shaping", "lqg", "lqi", "lqr", "mpc",
          "sliding_mode")  # fmt: skip

@@ -22,10 +22,8 @@ from heli_host.errors import PortError
 from heli_host.ui import foxglove_feed as feeds
 from heli_host.ui.foxglove_server import is_permitted
 
-from tests.cli.terminal import Terminal, terminal
+from tests.cli.terminal import Terminal
 from tests.page.page_server import SHORT_PLAN
-
-__all__ = ["terminal"]
 
 pytest.importorskip("foxglove", reason="skipped: no foxglove-sdk")
 pytest.importorskip("websockets.sync.client", reason="skipped: no websockets")

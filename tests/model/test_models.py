@@ -20,14 +20,9 @@ from heli_sim.model.mjcf import left_out, mjcf
 from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
-from tests.cli.terminal import Terminal, terminal
+from tests.cli.terminal import Terminal
 from tests.model.toys import ConstantTorque, FirstOrderLag, TiltedEncoder, paper_rig, rates
 from tests.running.long import samples
-
-__all__ = [
-    "terminal",
-]
-
 
 LEVEL = np.zeros(6)
 HOVER_V = 1.7028

@@ -10,8 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 from heli_host import Heli
 from heli_host.declaration import (
+    AXES,
     LINK_HASH,
     AckMessage,
     ArmMessage,
@@ -47,6 +49,14 @@ def due_of(world: SilWorld) -> EmulatedDue:
     """The emulated Due of a world."""
     assert isinstance(world.board, EmulatedDue)
     return world.board
+
+
+def turn_unseen(world: SilWorld, axis: int, turn_deg: float, *, unseen: bool = True) -> None:
+    """Turn the arm while an encoder does not count, or while it counts: there and back, its reading jumps."""
+    state = world.state
+    state[axis] += np.radians(turn_deg)
+    world.state = state
+    world.native.encoders_out = [unseen and index == axis for index in range(len(AXES))]
 
 
 def hello_frame(seq: int = 0) -> bytes:
