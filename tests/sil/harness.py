@@ -30,6 +30,7 @@ from heli_sim.sil.boards import EmulatedDue
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions, parse_options
 from heli_sim.sil.ports import Endpoint
+from heli_sim.sil.pty import PtyEndpoint
 from heli_sim.sil.server import SilServer, TimedClock
 from heli_sim.sil.world import SilWorld
 
@@ -126,6 +127,11 @@ class Bench:
         self.world = world
         self.now_s = 0.0
         self.server = SilServer(endpoint, world, TimedClock(1.0), now_s=lambda: self.now_s)
+
+    def open(self) -> PtyHost | TcpHost:
+        """Open the port, as a host does."""
+        kind = PtyHost if isinstance(self.endpoint, PtyEndpoint) else TcpHost
+        return kind(self.endpoint.url)
 
     def turn(self, count: int = 1) -> None:
         for _ in range(count):

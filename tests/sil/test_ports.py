@@ -48,14 +48,17 @@ from hypothesis import strategies as st
 from tests.running.long import samples
 from tests.sil.harness import PATIENT, Bench, Host, PtyHost, TcpHost, hello_frame, world
 
-Opener = Callable[[str], PtyHost | TcpHost]
-
 
 @pytest.fixture(params=["pty", "tcp"])
-def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Endpoint, Opener]]:
+def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Endpoint]:
     endpoint: Endpoint = PtyEndpoint(tmp_path / "due") if request.param == "pty" else TcpEndpoint()
-    yield endpoint, (PtyHost if request.param == "pty" else TcpHost)
+    yield endpoint
     endpoint.close()
+
+
+@pytest.fixture
+def bench(port: Endpoint) -> Bench:
+    return Bench(port, world())
 
 
 def greet(bench: Bench, host: PtyHost | TcpHost, seq: int = 0) -> None:
@@ -72,36 +75,31 @@ def greet(bench: Bench, host: PtyHost | TcpHost, seq: int = 0) -> None:
 
 
 @pytest.mark.medium
-def test_a_host_opens_a_session(port: tuple[Endpoint, Opener]) -> None:
-    endpoint, open_port = port
-    greet(Bench(endpoint, world()), open_port(endpoint.url))
+def test_a_host_opens_a_session(bench: Bench) -> None:
+    greet(bench, bench.open())
 
 
 @pytest.mark.medium
-def test_the_port_survives_hosts_that_come_and_go(port: tuple[Endpoint, Opener]) -> None:
-    endpoint, open_port = port
-    bench = Bench(endpoint, world())
+def test_the_port_survives_hosts_that_come_and_go(bench: Bench) -> None:
     for seq in range(5):
-        host = open_port(endpoint.url)
-        bench.until(lambda: endpoint.ready)
+        host = bench.open()
+        bench.until(lambda: bench.endpoint.ready)
         greet(bench, host, seq)
         host.close()
-        bench.until(lambda: not endpoint.ready)
+        bench.until(lambda: not bench.endpoint.ready)
     assert bench.world.board.sim.boots == 1
 
 
 @pytest.mark.medium
-def test_the_next_host_hears_nothing_that_was_meant_for_the_last(port: tuple[Endpoint, Opener]) -> None:
-    endpoint, open_port = port
-    bench = Bench(endpoint, world())
-    first = open_port(endpoint.url)
+def test_the_next_host_hears_nothing_that_was_meant_for_the_last(bench: Bench) -> None:
+    first = bench.open()
     greet(bench, first)
     bench.turn(500)
     first.close()
-    bench.until(lambda: not endpoint.ready)
+    bench.until(lambda: not bench.endpoint.ready)
     bench.turn(500)
-    second = open_port(endpoint.url)
-    bench.until(lambda: endpoint.ready)
+    second = bench.open()
+    bench.until(lambda: bench.endpoint.ready)
     bench.turn(2)
     # The bridge's ring and what the line carried since; two seconds of telemetry would be 5,000 bytes.
     received = b""
@@ -111,56 +109,50 @@ def test_the_next_host_hears_nothing_that_was_meant_for_the_last(port: tuple[End
 
 
 @pytest.mark.medium
-def test_time_passes_while_nobody_is_there(port: tuple[Endpoint, Opener]) -> None:
-    endpoint, _ = port
-    bench = Bench(endpoint, world())
+def test_time_passes_while_nobody_is_there(bench: Bench) -> None:
     bench.turn(100)
     assert bench.world.tick == pytest.approx(400, abs=8)
 
 
 @pytest.mark.medium
-def test_an_unread_port_overflows_the_bridge_and_recovers(port: tuple[Endpoint, Opener]) -> None:
-    endpoint, open_port = port
-    bench = Bench(endpoint, world())
-    host = open_port(endpoint.url)
+def test_an_unread_port_overflows_the_bridge_and_recovers(bench: Bench) -> None:
+    host = bench.open()
     greet(bench, host)
     # The system's own buffers take tens of thousands of bytes, ten seconds of telemetry and more.
-    bench.until(lambda: bench.turn_all(100) and not endpoint.ready)
+    bench.until(lambda: bench.turn_all(100) and not bench.endpoint.ready)
     before = bench.world.native.line_counters()["to_host_overflow"]
     bench.turn(100)
     assert bench.world.native.line_counters()["to_host_overflow"] > before
-    bench.until(lambda: host.read() == b"" and endpoint.ready)
+    bench.until(lambda: host.read() == b"" and bench.endpoint.ready)
     bench.until(host.read)
 
 
 @pytest.mark.medium
 @pytest.mark.parametrize("reset", [False, True])
-def test_opening_resets_the_board_only_when_asked_to(port: tuple[Endpoint, Opener], reset: bool) -> None:
-    endpoint, open_port = port
-    bench = Bench(endpoint, world(reset_on_open="1" if reset else "0"))
+def test_opening_resets_the_board_only_when_asked_to(port: Endpoint, reset: bool) -> None:
+    bench = Bench(port, world(reset_on_open="1" if reset else "0"))
     bench.turn(10)
-    host = open_port(endpoint.url)
-    bench.until(lambda: endpoint.ready)
+    host = bench.open()
+    bench.until(lambda: bench.endpoint.ready)
     bench.turn(80)
     assert bench.world.board.sim.boots == (2 if reset else 1)
     host.close()
 
 
 @pytest.mark.medium
-def test_pulling_the_cable_takes_the_port_away_and_brings_it_back(port: tuple[Endpoint, Opener]) -> None:
-    endpoint, open_port = port
-    bench = Bench(endpoint, world(unplug="1:1"))
-    url = endpoint.url
-    host = open_port(url)
+def test_pulling_the_cable_takes_the_port_away_and_brings_it_back(port: Endpoint) -> None:
+    bench = Bench(port, world(unplug="1:1"))
+    url = port.url
+    host = bench.open()
     greet(bench, host)
     bench.until(lambda: bench.world.tick >= 1010)
     bench.until(host.gone)
     with pytest.raises(OSError):
-        open_port(url)
+        bench.open()
     bench.until(lambda: bench.world.tick >= 2010)
-    assert endpoint.url == url
-    again = open_port(url)
-    bench.until(lambda: endpoint.ready)
+    assert port.url == url
+    again = bench.open()
+    bench.until(lambda: bench.endpoint.ready)
     greet(bench, again, seq=1)
     assert bench.world.board.sim.boots == 1
 
@@ -676,91 +668,87 @@ def clock() -> FakeClock:
 
 
 @pytest.fixture
-def tcp_hosts_endpoint(clock: FakeClock) -> Iterator[TcpEndpoint]:
-    tcp_hosts_endpoint = TcpEndpoint(now_s=clock)
-    yield tcp_hosts_endpoint
-    tcp_hosts_endpoint.close()
+def tcp(clock: FakeClock) -> Iterator[TcpEndpoint]:
+    tcp = TcpEndpoint(now_s=clock)
+    yield tcp
+    tcp.close()
 
 
-def connected(tcp_hosts_endpoint: TcpEndpoint) -> socket.socket:
+def connected(tcp: TcpEndpoint) -> socket.socket:
     """Return a connection that the board's side may hold, or let wait."""
-    host, port = tcp_hosts_endpoint.url.removeprefix("socket://").split(":")
+    host, port = tcp.url.removeprefix("socket://").split(":")
     opened = socket.create_connection((host, int(port)), timeout=GUARD_S)
     opened.settimeout(GUARD_S)
     return opened
 
 
-def until(tcp_hosts_endpoint: TcpEndpoint, so: Callable[[bytes], bool]) -> None:
+def until(tcp: TcpEndpoint, so: Callable[[bytes], bool]) -> None:
     """Let the board's side look at its port until something is so; the network may take a moment."""
     give_up_s = time.monotonic() + GUARD_S
-    while not so(tcp_hosts_endpoint.receive()):
+    while not so(tcp.receive()):
         assert time.monotonic() < give_up_s, "it never came"
         time.sleep(0.0005)
 
 
-def test_the_next_host_learns_which_host_has_the_board_and_waits(
-    tcp_hosts_endpoint: TcpEndpoint, clock: FakeClock
-) -> None:
-    first = connected(tcp_hosts_endpoint)
+def test_the_next_host_learns_which_host_has_the_board_and_waits(tcp: TcpEndpoint, clock: FakeClock) -> None:
+    first = connected(tcp)
     first.send(b"first")
-    until(tcp_hosts_endpoint, lambda data: data == b"first")
-    second = connected(tcp_hosts_endpoint)
-    until(tcp_hosts_endpoint, lambda _: tcp_hosts_endpoint._waiting is not None)
+    until(tcp, lambda data: data == b"first")
+    second = connected(tcp)
+    until(tcp, lambda _: tcp._waiting is not None)
     clock.now_s += PATIENCE_S
     first.send(b"still here")
-    until(tcp_hosts_endpoint, lambda data: data == b"still here")
-    until(tcp_hosts_endpoint, lambda _: tcp_hosts_endpoint._is_informed)
+    until(tcp, lambda data: data == b"still here")
+    until(tcp, lambda _: tcp._is_informed)
     host, port = first.getsockname()
     assert second.recv(200) == f"\r\nthis board is held by {host}:{port}\r\n\0".encode()
     second.send(b"second")
     first.close()
-    until(tcp_hosts_endpoint, lambda data: data == b"second")
+    until(tcp, lambda data: data == b"second")
     second.close()
 
 
-def test_a_silent_host_gives_way_to_one_that_waits(tcp_hosts_endpoint: TcpEndpoint, clock: FakeClock) -> None:
-    silent = connected(tcp_hosts_endpoint)
-    until(tcp_hosts_endpoint, lambda _: tcp_hosts_endpoint.ready)
+def test_a_silent_host_gives_way_to_one_that_waits(tcp: TcpEndpoint, clock: FakeClock) -> None:
+    silent = connected(tcp)
+    until(tcp, lambda _: tcp.ready)
     clock.now_s += 100.0
-    tcp_hosts_endpoint.receive()
-    assert tcp_hosts_endpoint.ready, "nobody waits: it may stay"
-    second = connected(tcp_hosts_endpoint)
+    tcp.receive()
+    assert tcp.ready, "nobody waits: it may stay"
+    second = connected(tcp)
     second.send(b"second")
-    until(tcp_hosts_endpoint, lambda data: data == b"second")
+    until(tcp, lambda data: data == b"second")
     assert silent.recv(10) == b""
     second.close()
 
 
-def test_a_host_that_sends_keeps_the_board(tcp_hosts_endpoint: TcpEndpoint, clock: FakeClock) -> None:
-    first, second = connected(tcp_hosts_endpoint), connected(tcp_hosts_endpoint)
+def test_a_host_that_sends_keeps_the_board(tcp: TcpEndpoint, clock: FakeClock) -> None:
+    first, second = connected(tcp), connected(tcp)
     first.send(b"x")
-    until(tcp_hosts_endpoint, lambda data: data == b"x")
-    until(tcp_hosts_endpoint, lambda _: tcp_hosts_endpoint._waiting is not None)
+    until(tcp, lambda data: data == b"x")
+    until(tcp, lambda _: tcp._waiting is not None)
     for number in range(10):
         clock.now_s += SILENT_S * 0.9
         first.send(b"%d" % number)
-        until(tcp_hosts_endpoint, lambda data, wanted=b"%d" % number: data == wanted)  # type: ignore[misc]
+        until(tcp, lambda data, wanted=b"%d" % number: data == wanted)  # type: ignore[misc]
     clock.now_s += SILENT_S
     second.send(b"second")
-    until(tcp_hosts_endpoint, lambda data: data == b"second")
+    until(tcp, lambda data: data == b"second")
     first.close()
     second.close()
 
 
-def test_a_host_that_gave_up_waiting_makes_room_for_another(
-    tcp_hosts_endpoint: TcpEndpoint, clock: FakeClock
-) -> None:
-    first = connected(tcp_hosts_endpoint)
+def test_a_host_that_gave_up_waiting_makes_room_for_another(tcp: TcpEndpoint, clock: FakeClock) -> None:
+    first = connected(tcp)
     first.send(b"x")
-    until(tcp_hosts_endpoint, lambda data: data == b"x")
-    second = connected(tcp_hosts_endpoint)
-    until(tcp_hosts_endpoint, lambda _: tcp_hosts_endpoint._waiting is not None)
+    until(tcp, lambda data: data == b"x")
+    second = connected(tcp)
+    until(tcp, lambda _: tcp._waiting is not None)
     second.close()
-    until(tcp_hosts_endpoint, lambda _: tcp_hosts_endpoint._waiting is None)
-    third = connected(tcp_hosts_endpoint)
+    until(tcp, lambda _: tcp._waiting is None)
+    third = connected(tcp)
     third.send(b"third")
     first.close()
-    until(tcp_hosts_endpoint, lambda data: data == b"third")
+    until(tcp, lambda data: data == b"third")
     third.close()
 
 
