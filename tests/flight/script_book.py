@@ -326,17 +326,8 @@ def inconsistent(board: Board, _laws: Laws) -> None:
 
 def moved_by_hand(board: Board, _laws: Laws) -> None:
     """A person moves the arm: arming near its conditions, limits in flight, broken encoders."""
-    for axis, counts in (
-        (0, 22),
-        (0, 23),
-        (0, 24),
-        (1, 113),
-        (1, 114),
-        (1, -115),
-        (2, 1991),
-        (2, 1992),
-        (2, -2000),
-    ):
+    near_its_limit = {0: (22, 23, 24), 1: (113, 114, -115), 2: (1991, 1992, -2000)}
+    for axis, counts in ((axis, counts) for axis, values in near_its_limit.items() for counts in values):
         board.shift[axis] = counts
         board.run(1)
         board.ask(d.ArmMessage)

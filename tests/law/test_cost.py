@@ -171,17 +171,21 @@ def flown(program: LawProgram) -> Flight:
     return flight
 
 
+def hover_volts(now: Any) -> tuple[Any, Any]:
+    """Voltages of a law that flies."""
+    collective_V = 1.4 - 16.0 * now.elevation_rad - 12.0 * now.elevation_rad_s
+    tilt_rad = -0.5 * now.travel_rad - 2.5 * now.travel_rad_s
+    return motor_volts(collective_V, 5.0 * (tilt_rad - now.pitch_rad) - 1.6 * now.pitch_rad_s)
+
+
 def remembering(states: int, signals: int = 0) -> Law:
     """A law that flies, and has nothing to do with its states."""
 
     @control_law(states={f"x{k}": 0.5 for k in range(states)})
     def law(now: Any, state: Any, parameter: Any) -> Command:
-        collective_V = 1.4 - 16.0 * now.elevation_rad - 12.0 * now.elevation_rad_s
-        tilt_rad = -0.5 * now.travel_rad - 2.5 * now.travel_rad_s
-        volts = motor_volts(collective_V, 5.0 * (tilt_rad - now.pitch_rad) - 1.6 * now.pitch_rad_s)
         inputs = (now.pitch_rad, now.travel_rad, now.elevation_rad, now.pitch_rad_s)
         return Command(
-            *volts,
+            *hover_volts(now),
             states={f"x{k}": 0.25 for k in range(states)},
             signals={f"s{k}": inputs[k] for k in range(signals)},
         )
@@ -194,12 +198,9 @@ def most_expensive() -> Law:
 
     @control_law(states={"x": 0.0})
     def law(now: Any, state: Any, parameter: Any) -> Command:
-        collective_V = 1.4 - 16.0 * now.elevation_rad - 12.0 * now.elevation_rad_s
-        tilt_rad = -0.5 * now.travel_rad - 2.5 * now.travel_rad_s
-        volts = motor_volts(collective_V, 5.0 * (tilt_rad - now.pitch_rad) - 1.6 * now.pitch_rad_s)
         x = state.x
         for _ in range(ROOTS):
             x = sqrt(1.0 + x)
-        return Command(*volts, states={"x": x})
+        return Command(*hover_volts(now), states={"x": x})
 
     return law

@@ -104,6 +104,22 @@ def climb_m_s(model: Any, data: Any) -> Floats:
     return speeds
 
 
+def body_velocity(model: Any, data: Any, *, local: bool) -> Floats:
+    """Angular and linear velocity of the short arm, in its own frame or in the world's."""
+    velocity = np.empty(6)
+    body = model.body("body").id
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, int(local))
+    return velocity
+
+
+def push_wheel(model: Any, data: Any, momentum_Nms: float, spin_up_Nm: float = 0.0) -> None:
+    """Apply the torque of a wheel that spins about the short arm's upward axis."""
+    body = model.body("body").id
+    up = data.xmat[body].reshape(3, 3)[:, 2]
+    turned = body_velocity(model, data, local=False)[:3]
+    data.xfrc_applied[body, 3:] = -np.cross(turned, momentum_Nms * up) - spin_up_Nm * up
+
+
 def agree(effect: str, witness: Floats, within_rad: float = 1e-6) -> None:
     mine = simulate_with_casadi(effect)
     assert np.abs(mine - theirs()).max() > 1e-3, "the effect does nothing here"
@@ -188,10 +204,8 @@ def test_reaction_torque_is_an_actuators_moment_about_its_thrust(back: float) ->
 
 def test_edgewise_flow_goes_by_the_speed_of_the_pitch_axis_along_the_short_arm() -> None:
     def control(model: Any, data: Any, thrust_N: Floats) -> Floats:
-        velocity = np.empty(6)
-        body = model.body("body").id
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
-        moved: Floats = thrust_N * (1 + 0.1 * velocity[4] * np.array([-1.0, 1.0]))
+        along_m_s = body_velocity(model, data, local=True)[4]
+        moved: Floats = thrust_N * (1 + 0.1 * along_m_s * np.array([-1.0, 1.0]))
         return moved
 
     agree("edgewise_flow=0.1", theirs(control=control))
@@ -199,11 +213,7 @@ def test_edgewise_flow_goes_by_the_speed_of_the_pitch_axis_along_the_short_arm()
 
 def test_gyroscopic_torque_is_that_of_a_spinning_wheel_on_the_short_arm() -> None:
     def control(model: Any, data: Any, thrust_N: Floats) -> Floats:
-        velocity = np.empty(6)
-        body = model.body("body").id
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
-        up = data.xmat[body].reshape(3, 3)[:, 2]
-        data.xfrc_applied[body, 3:] = -np.cross(velocity[:3], 0.05 * thrust_N.sum() * up)
+        push_wheel(model, data, 0.05 * thrust_N.sum())
         return thrust_N
 
     agree("gyroscopic_torque=0.05", theirs(control=control))
@@ -221,12 +231,7 @@ def test_a_flywheel_is_a_wheel_whose_speed_lags(spin_up: float) -> None:
         return thrust_N
 
     def control(model: Any, data: Any, thrust_N: Floats) -> Floats:
-        velocity = np.empty(6)
-        body = model.body("body").id
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 0)
-        up = data.xmat[body].reshape(3, 3)[:, 2]
-        faster_Nm = spin_up * 0.02 * (sums_V[0] - sums_V[1]) / T_s
-        data.xfrc_applied[body, 3:] = -np.cross(velocity[:3], 0.02 * sums_V[1] * up) - faster_Nm * up
+        push_wheel(model, data, 0.02 * sums_V[1], spin_up * 0.02 * (sums_V[0] - sums_V[1]) / T_s)
         return thrust_N
 
     agree(f"flywheel=Nms_per_V:0.02,spin_up:{spin_up}", theirs(control=control, course=course))
