@@ -585,6 +585,9 @@ def test_each_operation_in_each_lane_is_that_of_casadi(tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     state, inputs, times = (random.normal(0.0, 1.5, shape) for shape in ((4, 2), (4, 2), 4))
     inputs[1, 1] = state[1, 0]  # equal operands, for comparisons
+    state[2:, 0] = 0.0, -4.0
+    inputs[2:, 1] = 0.0, np.nan
+    state[2:, 1] = np.nan, 0.0
     parameters = np.array([0.7, -1.3])
     result = np.empty((4, size))
     ctypes.CDLL(str(library)).run(
