@@ -30,6 +30,7 @@ from heli_sim.model.linear import rig_findings
 from heli_sim.rig import Rig, load_rig, write_rig
 from heli_sim.sil.transport import SilProcess
 
+from tests.identify.made import flown_by_plan, perturbed
 from tests.running.long import samples
 from tests.sil.harness import turn_unseen, world_of
 
@@ -313,6 +314,15 @@ def test_a_tilt_of_the_hover_that_friction_holds_is_not_accused(hover_deg: float
     text = replace(BEFORE, hover=hover).shift_after(after(-25.0, -8.9))
     assert text is not None
     assert bool(text) is is_shifted
+
+
+def test_a_short_arm_that_drifts_before_the_take_off_has_no_rest_to_compare_with() -> None:
+    # On a healthy rig whose friction hides that nothing holds its short arm, half a second shows one count.
+    flown_by_plan(perturbed(9342), 9342, PLAN, parameters={"travel_following_max_deg": 180.0})
+    with heli_host.connect("sil://") as heli:
+        drift, still = (after(-25.0, lambda t_s, w=rate: w * t_s, 2.0) for rate in (-0.18, 0.0))
+        for seen, is_moving in ((drift, True), (still, False)):
+            assert np.isnan(RestAngles.of(heli.latest, seen, COUNT_DEG).pitch_deg) == is_moving
 
 
 def test_an_arm_that_floats_up_without_voltage_is_not_accused() -> None:

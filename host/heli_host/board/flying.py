@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from heli_host.board.rest_check import RestAngles
-from heli_host.board.samples import Sample
+from heli_host.board.samples import Sample, Samples
 from heli_host.board.telemetry import Telemetry
 from heli_host.declaration import (
     SETPOINT_MARGIN_DEG,
@@ -96,7 +96,9 @@ MOTORS_OFF: Final = (State.IDLE, State.FAULT)
 
 _CLIMB_SPARE_S = 20.0
 """Time for which a climb may lag behind its setpoint [s]; the shipped rigs need less than 3 s."""
-_REST_S = 0.5
+_REST_S = 2.0
+"""Length of the look at the angles before the take-off [s]. In half a second, a short arm that drifts at
+0.2 deg/s, because nothing brings it back to a rest, turns by one count only."""
 _REACHED_DEG = 2.0
 _REACHED_FOR_S = 0.3
 _FOLLOWING = (State.CLOSED_LOOP, State.HOLD)
@@ -132,11 +134,19 @@ class Flying:
     def arm(self) -> None:
         """Let the board run its checks and enable the motor drivers, and remember the angles at rest."""
         pitch_count_deg = 360.0 / abs(self.params["pitch_counts_per_rev"])
-        samples = self.telemetry.samples(_REST_S)
-        at_rest = RestAngles.of(self.telemetry.latest, samples, pitch_count_deg)
+        at_rest = RestAngles.of(self.telemetry.latest, self._samples_at_rest(), pitch_count_deg)
         self.session.command(ArmMessage(UNNUMBERED))
         self.at_rest = at_rest
         self.session.wait_for_state(State.ARMED)
+
+    def _samples_at_rest(self) -> Samples:
+        """Return the samples before the take-off; wait for some more if pitch changes, as it may drift."""
+        samples = self.telemetry.samples(_REST_S)
+        missing_s = _REST_S - len(samples) * TICK_S
+        if missing_s > 0.0 and len(samples) and np.ptp(samples.pitch_rad) > 0.0:
+            self.session.wait(missing_s)
+            samples = self.telemetry.samples(_REST_S)
+        return samples
 
     def stop(self) -> None:
         """Switch both motors off immediately, and wait until telemetry shows it."""

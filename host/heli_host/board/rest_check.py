@@ -84,8 +84,7 @@ class RestAngles:
     @classmethod
     def of(cls, newest: Sample, samples: Samples, pitch_count_deg: float) -> Self:
         """Read the angles from the last samples before the motors are armed."""
-        # `samples`: About half a second; fewer right after the connection, when the board's own check must
-        # do.
+        # `samples`: About two seconds; fewer right after the connection, if pitch does not change.
         span_deg = float(np.ptp(np.degrees(samples.pitch_rad))) if len(samples) else 0.0
         is_still = span_deg <= _STILL_COUNTS * pitch_count_deg
         pitch_deg = newest.pitch_deg if is_still else math.nan

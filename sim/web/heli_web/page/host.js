@@ -11,7 +11,7 @@ import { closedAxes, takeOffRoute, Tracking } from "./plans.js";
 const AXES = ["elevation", "pitch", "travel"];
 const DEG = 180 / Math.PI;
 const INTERVAL_TICKS = 20, LEAD_TICKS = 100, LONGEST_LEAD_TICKS = 400, SETPOINT_LEAD_TICKS = 40;
-const BEFORE_TICKS = 500, AFTER_TICKS = 200, REST_TICKS = 500;
+const BEFORE_TICKS = 500, AFTER_TICKS = 200, REST_TICKS = 2000;
 const IN_THE_AIR = ["closed_loop", "streamed", "open_loop"], LANDED_BY = ["land", "stale_land"];
 const DOWN = ["idle", "fault"], FLYING = ["armed", "closed_loop", "hold"];
 const URGENT = { fault: 4, link_lost: 4, board_restarted: 4, link_silent: 3, setpoint_stale: 3, setpoint_rejected: 3 };
