@@ -40,6 +40,14 @@ def built_elf() -> Path:
     return BUILD / "heli.elf"
 
 
+def compile_here(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """Run this computer's C++ compiler; skips without one."""
+    compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("no C++ compiler is installed")
+    return subprocess.run([compiler, *arguments], capture_output=True, text=True, check=False)
+
+
 def take_over_objects(build: Path, firmware: Path) -> None:
     """Copy the objects of the tests' firmware into a new folder `build`, so that make compiles only what
     differs in `firmware`, a copy of its sources, and what includes that.

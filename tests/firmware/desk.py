@@ -284,6 +284,7 @@ def call(board: Board, symbol: str, *arguments: int) -> int:
     return result
 
 
+GIVE_UP: Final = "_ZN4heli3due6faults7give_upEv"
 TICK: Final = "_ZN4heli4Core4tickENS_10TickTimingE"
 POLL: Final = "_ZN4heli4Core4pollEv"
 BRANCH_TO_SELF: Final = b"\xfe\xe7"

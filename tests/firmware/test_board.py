@@ -50,7 +50,6 @@ pytestmark = pytest.mark.emulated
 EFC0_FMR, EFC1_FMR = 0x400E0A00, 0x400E0C00
 DECODER_ERRORS = "_ZN4heli3due8encoders12_GLOBAL__N_114decoder_errorsE"
 TRAVEL_ILLEGAL = "_ZN4heli3due8encoders12_GLOBAL__N_113illegal_edgesE"
-UART_MR, UART_BRGR = 0x400E0804, 0x400E0820
 UART_RCR, UART_RNCR = 0x400E0904, 0x400E0914
 
 
@@ -97,12 +96,6 @@ def test_both_flash_banks_have_the_wait_states_of_84_MHz(board: Board) -> None:
     board.advance(20)
     assert board.due.mck_Hz == 84_000_000
     assert [board.register(address) >> 8 & 0xF for address in (EFC0_FMR, EFC1_FMR)] == [4, 4]
-
-
-def test_the_serial_line_is_8n1_at_exactly_250_kbaud(board: Board) -> None:
-    board.advance(20)
-    assert board.register(UART_MR) == 4 << 9
-    assert board.due.mck_Hz / (16 * board.register(UART_BRGR)) == 250_000
 
 
 def test_encoders_count_alike_and_a_before_b_is_up(board: Board, heli: Heli) -> None:

@@ -8,87 +8,16 @@ its pin is given to, and an interrupt priority shows only if two interrupts meet
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
 import fetch_svd
 import pytest
+from fetch_svd import Description, Register
 
 from firmware.due.report import Image
 from tests.firmware import built
-from tests.firmware.desk import ENABLE_PINS, GPBR, PWM_PINS, Board, call, halt_at
-
-
-@dataclass(frozen=True)
-class Register:
-    """One register."""
-
-    offset: int  # From the start of its peripheral
-    access: str  # read-only, write-only or read-write
-    count: int  # Length of an array; 1 for a single register
-    fields: dict[str, tuple[int, int]]  # Lowest bit and width of each field
-    values: dict[tuple[str, str], int]  # Values of fields that have names, by field and name
-
-
-@dataclass(frozen=True)
-class Peripheral:
-    """One peripheral."""
-
-    address: int  # Where it begins
-    registers: dict[str, Register]  # By name, without the peripheral's prefix
-
-
-@dataclass(frozen=True)
-class Description:
-    """The chip."""
-
-    peripherals: dict[str, Peripheral]  # By name
-    # Number of each interrupt, which is also the identifier of the peripheral's clock
-    interrupts: dict[str, int]
-
-
-def _text(node: ElementTree.Element, name: str) -> str:
-    text = node.findtext(name)
-    return "" if text is None else text.strip()
-
-
-def _register(node: ElementTree.Element) -> Register:
-    fields, values = {}, {}
-    for field in node.iter("field"):
-        name = _text(field, "name")
-        fields[name] = (
-            int(_text(field, "bitOffset") or _text(field, "lsb"), 0),
-            int(_text(field, "bitWidth") or "1"),
-        )
-        for value in field.iter("enumeratedValue"):
-            values[name, _text(value, "name")] = int(_text(value, "value"), 0)
-    count = int(_text(node, "dim") or "1", 0)
-    return Register(int(_text(node, "addressOffset"), 0), _text(node, "access"), count, fields, values)
-
-
-def read_description(path: Path) -> Description:
-    """Take the file apart."""
-    root = ElementTree.parse(path).getroot()
-    nodes = {_text(node, "name"): node for node in root.iter("peripheral")}
-    peripherals = {}
-    interrupts = {}
-    for name, node in nodes.items():
-        source = nodes[node.get("derivedFrom", name)]
-        prefixes = (f"{name}_", f"{name.rstrip('0123456789')}_")
-        registers = {}
-        for register in source.iter("register"):
-            short = _text(register, "name").removesuffix("[%s]")
-            for prefix in prefixes:
-                short = short.removeprefix(prefix)
-            registers[short] = _register(register)
-        peripherals[name] = Peripheral(int(_text(node, "baseAddress"), 0), registers)
-        for interrupt in node.findall("interrupt"):
-            interrupts[_text(interrupt, "name")] = int(_text(interrupt, "value"), 0)
-    return Description(peripherals, interrupts)
-
+from tests.firmware.desk import ENABLE_PINS, GIVE_UP, GPBR, PWM_PINS, STOP_PIN, Board, call, halt_at
 
 pytestmark = pytest.mark.emulated
 
@@ -96,26 +25,26 @@ pytestmark = pytest.mark.emulated
 @pytest.fixture(scope="session")
 def description() -> Description:
     """The vendor's description of the chip."""
-    path = fetch_svd.find()
-    if path is None:
+    vendors = fetch_svd.description()
+    if vendors is None:
         pytest.skip(fetch_svd.MISSING)
-    return read_description(path)
+    return vendors
 
 
 HEADER = built.DRIVERS / "registers.hpp"
 
-# Structures of the header: their peripheral in the description, and where in it they begin.
+# Structures of the header: their peripheral in the description.
 BLOCKS = {
-    "Pmc": ("PMC", 0),
-    "Uart": ("UART", 0),
-    "Efc": ("EFC0", 0),
-    "Pio": ("PIOA", 0),
-    "Rstc": ("RSTC", 0),
-    "Wdt": ("WDT", 0),
-    "Gpbr": ("GPBR", 0),
-    "Tc": ("TC0", 0),
-    "Pwm": ("PWM", 0),
-    "Trng": ("TRNG", 0),
+    "Pmc": "PMC",
+    "Uart": "UART",
+    "Efc": "EFC0",
+    "Pio": "PIOA",
+    "Rstc": "RSTC",
+    "Wdt": "WDT",
+    "Gpbr": "GPBR",
+    "Tc": "TC0",
+    "Pwm": "PWM",
+    "Trng": "TRNG",
 }
 # Structures that stand in others: who holds them, in which array, of how many.
 NESTED = {"TcChannel": ("Tc", "TC_CHANNEL", 3), "PwmChannel": ("Pwm", "PWM_CH_NUM", 8)}
@@ -158,7 +87,7 @@ def short(name: str) -> str:
 def described(description: Description, member: Member) -> list[tuple[int, Register]]:
     """The same register in the description: index in an array of channels, and what it says."""
     block, _, count = NESTED.get(member.block, (member.block, "", 0))
-    peripheral = description.peripherals[BLOCKS[block][0]]
+    peripheral = description.peripherals[BLOCKS[block]]
     name = short(member.name)
     if not count:
         return [(0, peripheral.registers[name])]
@@ -166,14 +95,11 @@ def described(description: Description, member: Member) -> list[tuple[int, Regis
 
 
 def compile_claims(claims: list[str], folder: Path) -> None:
-    compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
-    if compiler is None:
-        pytest.skip("no C++ compiler is installed")
     source = folder / "claims.cpp"
     lines = ["#include <cstddef>", f'#include "{HEADER}"', "using namespace heli::due;", *claims]
     source.write_text("\n".join(lines) + "\n")
     flags = ["-std=c++17", "-fsyntax-only", "-Wno-int-to-pointer-cast", "-Wno-invalid-offsetof"]
-    process = subprocess.run([compiler, *flags, source], capture_output=True, text=True, check=False)
+    process = built.compile_here(*flags, source)
     failed = re.findall(r"static assertion failed[^\n]*|error:[^\n]*", process.stderr)
     assert process.returncode == 0, "\n".join(failed)
 
@@ -272,14 +198,11 @@ def test_no_constant_of_the_header_escapes_these_tests() -> None:
 CLOCK_START = "_ZN4heli3due5clock5startEv"
 PWM_START = "_ZN4heli3due6motors5startEv"
 CUT = "_ZN4heli3due6motors3cutEv"
-GIVE_UP = "_ZN4heli3due6faults7give_upEv"
-
 PORTS = {"A": 0x400E_0E00, "B": 0x400E_1000, "C": 0x400E_1200, "D": 0x400E_1400}
 PIO_PSR, PIO_OSR, PIO_ODSR, PIO_IMR, PIO_PUSR, PIO_ABSR = 0x08, 0x18, 0x38, 0x48, 0x68, 0x70
 UART_PINS = ("PA8", "PA9")
 DECODER_PINS = ("PB25", "PB27", "PC25", "PC26")
 EDGE_PINS = ("PD0", "PD1")
-STOP_PIN = "PD6"
 
 # Numbers of peripherals, which are their bits in PMC_PCSR and their interrupts (datasheet, 9.1).
 UART, PIOA, PIOB, PIOC, PIOD, TC0, TC3, TC4, TC6, PWM, TRNG = 8, 11, 12, 13, 14, 27, 30, 31, 33, 36, 41

@@ -15,6 +15,7 @@ from heli_host.link.events import BOARD_RESTARTED
 from firmware.due.report import Image
 from tests.firmware.desk import (
     ENABLE_PINS,
+    GIVE_UP,
     GPBR,
     HANGS,
     MAGIC,
@@ -406,7 +407,6 @@ def test_a_stop_input_that_is_not_wired_keeps_the_motors_off(board: Board) -> No
 
 
 SCB_CCR = 0xE000ED14
-GIVE_UP = "_ZN4heli3due6faults7give_upEv"
 HARD_FAULT = 3
 NOWHERE = 0x50000000
 

@@ -9,9 +9,17 @@ from typing import Any
 import heli_host
 import numpy as np
 import numpy.typing as npt
-from heli_host.board.law_flight import LawReport, engage
+from heli_host.board.law_flight import PART_WORDS, LawReport, engage
 from heli_host.board.law_program import LawProgram
-from heli_host.declaration import AXES, PARAMS, Channel, Flags
+from heli_host.declaration import (
+    AXES,
+    PARAMS,
+    Channel,
+    Flags,
+    LawBeginMessage,
+    LawEndMessage,
+    LawPartMessage,
+)
 from heli_host.link.telemetry import Ticks
 from heli_lab.law import Law
 from heli_test_native import law as native_law
@@ -34,6 +42,16 @@ def law_of(path: Path) -> Law:
     law = runpy.run_path(str(path))["LAW"]
     assert isinstance(law, Law)
     return law
+
+
+def upload_messages(program: LawProgram, request: int = 0) -> list[Any]:
+    """Messages of an upload, in order, the first with this request number."""
+    words = program.words
+    messages: list[Any] = [LawBeginMessage(request, program.hash, len(words))]
+    for first in range(0, len(words), PART_WORDS):
+        part = [*words[first : first + PART_WORDS], *([0] * PART_WORDS)][:PART_WORDS]
+        messages.append(LawPartMessage(request + len(messages), first, *part))
+    return [*messages, LawEndMessage(request + len(messages))]
 
 
 @dataclass(frozen=True)

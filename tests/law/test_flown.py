@@ -11,7 +11,7 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
-from heli_host.board.law_flight import PART_WORDS, engage, loaded
+from heli_host.board.law_flight import engage, loaded
 from heli_host.board.law_program import LawProgram
 from heli_host.data.response import responses
 from heli_host.declaration import (
@@ -20,11 +20,8 @@ from heli_host.declaration import (
     Fault,
     Flags,
     HelloMessage,
-    LawBeginMessage,
-    LawEndMessage,
     LawFlyMessage,
     LawMessage,
-    LawPartMessage,
     LawReadMessage,
     LawState,
     MessageId,
@@ -39,7 +36,7 @@ from heli_sim.rig import load_rig
 from heli_sim.sil.inprocess import InProcessTransport
 
 from tests.cli.terminal import Terminal
-from tests.law.flown import LAWS, fly, law_of, replayed
+from tests.law.flown import LAWS, fly, law_of, replayed, upload_messages
 from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MAX_deg, Volts, follows, hostile, motors, tries
 from tests.link.core_harness import Harness, open_harness, payloads_of
 from tests.running.long import LONG, samples
@@ -208,13 +205,7 @@ def small(name: str, gain: float) -> Law:
 
 def upload_frames(harness: Harness, program: LawProgram, request: int) -> list[bytes]:
     """Frames of an upload, in order."""
-    words = program.words
-    frames = [harness.frame(LawBeginMessage(request, program.hash, len(words)))]
-    for first in range(0, len(words), PART_WORDS):
-        part = [*words[first : first + PART_WORDS], *([0] * PART_WORDS)][:PART_WORDS]
-        frames.append(harness.frame(LawPartMessage(request + len(frames), first, *part)))
-    frames.append(harness.frame(LawEndMessage(request + len(frames))))
-    return frames
+    return [harness.frame(message) for message in upload_messages(program, request)]
 
 
 def law_on(harness: Harness) -> LawMessage:

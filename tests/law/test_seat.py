@@ -11,11 +11,11 @@ from heli_host.board.law_flight import PART_WORDS
 from heli_host.board.law_program import Instruction, LawProgram
 from heli_host.declaration import Channel, Event, LawError, LawState, Result, State, Takeover
 from heli_host.link.channels import physical
-from heli_host.link.telemetry import TelemetryDecoder
 from heli_lab.law import Command, control_law
 from heli_test_native import law as native_law
 
 from tests.flight.harness import Harness
+from tests.law.flown import upload_messages
 
 FOLLOWING_MAX_deg = {p.name: p.default for p in d.PARAMS}["pitch_following_max_deg"]
 ENVELOPE = {p.name: p.default for p in d.PARAMS}["law_envelope"]
@@ -43,12 +43,7 @@ def hovering() -> Harness:
 
 def upload(harness: Harness, program: LawProgram) -> d.AckMessage:
     """Upload a law; the first answer that is not OK, or the last."""
-    words = program.words
-    messages: list[Any] = [d.LawBeginMessage(0, program.hash, len(words))]
-    for first in range(0, len(words), PART_WORDS):
-        part = [*words[first : first + PART_WORDS], *([0] * PART_WORDS)][:PART_WORDS]
-        messages.append(d.LawPartMessage(0, first, *part))
-    answers = [harness.ask(message) for message in (*messages, d.LawEndMessage(0))]
+    answers = [harness.ask(message) for message in upload_messages(program)]
     answer: d.AckMessage = next((a for a in answers if a.result != Result.OK), answers[-1])
     return answer
 
@@ -63,12 +58,6 @@ def engage(harness: Harness, program: LawProgram) -> d.AckMessage:
 def taken_over(harness: Harness) -> list[Takeover]:
     """Why the board took over, each time."""
     return [Takeover(event.detail) for event in harness.events if event.kind == Event.LAW_TAKEN_OVER]
-
-
-def newest_row(harness: Harness) -> Any:
-    """The newest tick that the board has sent, by channel."""
-    payload = [frame.payload for frame in harness.frames if frame.id == d.MessageId.TELEMETRY][-1]
-    return TelemetryDecoder().decode([payload]).raw[-1]
 
 
 def law_on(harness: Harness) -> d.LawMessage:
@@ -211,7 +200,7 @@ def test_a_law_logs_each_of_its_signals_in_its_own_channel_and_a_large_one_at_it
     assert engage(harness, law.program).result == Result.OK
     harness.keep_flying(200)
     channels = (Channel.SIGNAL_1, Channel.SIGNAL_2, Channel.SIGNAL_3, Channel.SIGNAL_4)
-    logged = [float(physical(newest_row(harness), channel)) for channel in channels]
+    logged = [float(physical(harness.telemetry().raw[-1], channel)) for channel in channels]
     assert logged == pytest.approx([*signals.values()], rel=1e-6)
 
 
@@ -232,7 +221,7 @@ def test_a_law_with_a_setpoint_of_its_own_logs_the_boards_in_the_first_free_sign
     harness = hovering()
     assert engage(harness, law.program).result == Result.OK
     harness.keep_flying(1500, elevation_deg=4.0)
-    last = newest_row(harness)
+    last = harness.telemetry().raw[-1]
     board_raw, law_raw = last[Channel.SIGNAL_2], last[Channel.ELEVATION_SETPOINT]
     assert board_raw == pytest.approx(2 * law_raw, abs=2)
     assert math.degrees(float(physical(last, Channel.ELEVATION_SETPOINT))) == pytest.approx(2.0, abs=0.2)

@@ -21,7 +21,7 @@ from heli_sim.model.plant import Plant
 from heli_sim.rig import Rig, load_rig
 
 from tests.cli.terminal import Terminal
-from tests.model.toys import ConstantTorque, FirstOrderLag, TiltedEncoder, paper_rig, rates
+from tests.model.toys import WIDE, ConstantTorque, FirstOrderLag, TiltedEncoder, paper_rig, rates
 from tests.running.long import samples
 
 LEVEL = np.zeros(6)
@@ -102,12 +102,16 @@ def test_an_effect_may_add_a_torque() -> None:
 
 
 def test_an_effect_may_change_what_an_encoder_sees() -> None:
-    model = PaperModel((TiltedEncoder(),))
+    shown = measured(PaperModel((TiltedEncoder(),)), paper_rig(), [0.1, 0.5, -0.2, 0, 0, 0])
+    assert shown == pytest.approx([0.15, 0.5, -0.2])
+
+
+def measured(model: Model, rig: Rig, state: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Angles that the encoders show."""
     x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
     p = ca.SX.sym("p", len(model.parameters))
-    see = ca.Function("see", [x, u, p], [model.measurement(x, u, p)])
-    seen = see([0.1, 0.5, -0.2, 0, 0, 0], [0, 0], model.parameter_values(paper_rig()))
-    assert np.asarray(seen).ravel() == pytest.approx([0.15, 0.5, -0.2])
+    show = ca.Function("show", [x, u, p], [model.measurement(x, u, p)])
+    return np.asarray(show(np.asarray(state), [0, 0], model.parameter_values(rig))).ravel()
 
 
 def test_effects_that_share_a_name_are_refused() -> None:
@@ -132,12 +136,8 @@ def test_a_constant_torque_accelerates_its_own_axis() -> None:
 
 
 def test_an_encoder_zeroed_while_the_arm_was_not_level_shows_its_offset() -> None:
-    model, rig = PaperModel(), paper_rig(offset_pitch=2.0)
-    x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
-    p = ca.SX.sym("p", len(model.parameters))
-    shown = ca.Function("shown", [x, u, p], [model.measurement(x, u, p)])
-    angles = np.asarray(shown([0.1, 0.2, 0.3, 0, 0, 0], [1, 1], model.parameter_values(rig))).ravel()
-    assert np.rad2deg(angles - [0.1, 0.2, 0.3]) == pytest.approx([0.0, 2.0, 0.0])
+    shown = measured(PaperModel(), paper_rig(offset_pitch=2.0), [0.1, 0.2, 0.3, 0, 0, 0])
+    assert np.rad2deg(shown - [0.1, 0.2, 0.3]) == pytest.approx([0.0, 2.0, 0.0])
 
 
 mujoco = pytest.importorskip("mujoco")
@@ -164,11 +164,15 @@ def fly_mujoco(
 
 @functools.cache
 def ten_seconds() -> ca.Function:
-    """(state, volts) -> angles after every step, by the project's equations and the same Runge-Kutta step."""
+    return by_runge_kutta(load_rig("makki2024"), STEPS)
+
+
+def by_runge_kutta(rig: Rig, steps: int) -> ca.Function:
+    """(state, volts) -> states after every step, by the project's equations and MuJoCo's Runge-Kutta step."""
     model = MultibodyModel()
     x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
-    f = ca.Function("f", [x, u], [model.dynamics(x, u, ca.SX(model.parameter_values(load_rig("makki2024"))))])
-    return runge_kutta(f, x, u, STEP_S).mapaccum(STEPS)
+    f = ca.Function("f", [x, u], [model.dynamics(x, u, ca.SX(model.parameter_values(rig)))])
+    return runge_kutta(f, x, u, STEP_S).mapaccum(steps)
 
 
 def runge_kutta(f: ca.Function, x: ca.SX, u: ca.SX, step_s: float) -> ca.Function:
@@ -240,7 +244,6 @@ def test_energy_is_conserved_without_friction_and_thrust() -> None:
 
 
 MODELS = [PaperModel(), MultibodyModel(), MultibodyModel((RotorLag(0.12),))]
-WIDE = {"elevation_min": -89.0, "elevation_max": 89.0, "pitch_max": 179.0, "travel_max": 1e6}
 
 
 @pytest.mark.slow
@@ -333,7 +336,7 @@ def test_a_rig_that_cannot_hover_is_named() -> None:
         trim(MultibodyModel(), load_rig("makki2024").replace(M_w=1.8))
 
 
-STEP_s, SECONDS = 0.001, 3.0
+SECONDS = 3.0
 
 
 def volts_V(t_s: float) -> np.ndarray:
@@ -343,33 +346,24 @@ def volts_V(t_s: float) -> np.ndarray:
 
 
 def in_mujoco(rig: Rig, start: np.ndarray) -> np.ndarray:
-    model = mujoco.MjModel.from_xml_string(mjcf(rig, STEP_s, stops=False))
+    model = mujoco.MjModel.from_xml_string(mjcf(rig, STEP_S, stops=False))
     data = mujoco.MjData(model)
     for joint, angle in zip(JOINTS, start, strict=True):
         data.joint(joint).qpos[0] = angle
     observed = []
-    for step in range(round(SECONDS / STEP_s)):
+    for step in range(round(SECONDS / STEP_S)):
         observed.append([data.joint(joint).qpos[0] for joint in JOINTS])
-        for side, volts in zip(("front", "back"), volts_V(step * STEP_s), strict=True):
+        for side, volts in zip(("front", "back"), volts_V(step * STEP_S), strict=True):
             data.actuator(side).ctrl[0] = volts
         mujoco.mj_step(model, data)
     return np.array(observed)
 
 
 def by_equations(rig: Rig, start: np.ndarray) -> np.ndarray:
-    model = MultibodyModel()
-    x, u = ca.SX.sym("x", 6), ca.SX.sym("u", 2)
-    rates = ca.Function("f", [x, u], [model.dynamics(x, u, ca.SX(model.parameter_values(rig)))])
-    state, seen = np.concatenate((start, np.zeros(3))), []
-    for step in range(round(SECONDS / STEP_s)):
-        seen.append(state[:3])
-        u_now = volts_V(step * STEP_s)
-        k1 = np.array(rates(state, u_now)).ravel()
-        k2 = np.array(rates(state + 0.5 * STEP_s * k1, u_now)).ravel()
-        k3 = np.array(rates(state + 0.5 * STEP_s * k2, u_now)).ravel()
-        k4 = np.array(rates(state + STEP_s * k3, u_now)).ravel()
-        state = state + STEP_s / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return np.array(seen)
+    steps = round(SECONDS / STEP_S)
+    flown_V = np.column_stack([volts_V(step * STEP_S) for step in range(steps)])
+    after = by_runge_kutta(rig, steps)(np.concatenate((start, np.zeros(3))), flown_V)
+    return np.vstack((start, np.asarray(after).T[:-1, :3]))
 
 
 @pytest.mark.medium

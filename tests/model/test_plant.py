@@ -55,7 +55,7 @@ def test_flight_agrees_with_scipys_integrator_on_the_same_symbols(model: Model) 
     start[:6] = [-0.3, 0.2, 0.1, 0.1, -0.3, 0.2]
     volts_V = (1.9, 1.7)
     witness = solve_ivp(
-        lambda _, x: np.asarray(function(x, list(volts_V), p)).ravel(),
+        lambda t, x: np.asarray(function(x, list(volts_V), p, t)).ravel(),
         (0.0, 3.0),
         start,
         method="DOP853",

@@ -33,14 +33,17 @@ def fly(plant: Plant, state: Floats, volts_V: tuple[float, float], ticks: int) -
 
 
 def rates_function(model: Model) -> ca.Function:
-    x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2)
+    """(state, volts, parameters, time) -> rates."""
+    x, u, t = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", 2), ca.SX.sym("t")
     p = ca.SX.sym("p", len(model.parameters))
-    return ca.Function("rates", [x, u, p], [model.dynamics(x, u, p)])
+    return ca.Function("rates", [x, u, p, t], [model.dynamics(x, u, p, t)])
 
 
-def rates(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: tuple[float, float]) -> Floats:
-    result = rates_function(model)(np.asarray(state), list(volts_V), model.parameter_values(rig))
-    return np.asarray(result).ravel()
+def rates(
+    model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.ArrayLike, time_s: float = 0.0
+) -> Floats:
+    values = model.parameter_values(rig)
+    return np.asarray(rates_function(model)(np.asarray(state), np.asarray(volts_V), values, time_s)).ravel()
 
 
 class FirstOrderLag(Effect):

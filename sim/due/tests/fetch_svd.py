@@ -1,4 +1,4 @@
-"""Fetch the vendor's register description ATSAM3X8E.svd out of PyPI's source archive of cmsis-svd 0.4.
+"""Fetch and read ATSAM3X8E.svd, the vendor's register description, from the source archive of cmsis-svd 0.4.
 
 ``python sim/due/tests/fetch_svd.py [FOLDER]``: 35 MB once, into ``build/svd`` unless a folder is given.
 """
@@ -10,7 +10,9 @@ import subprocess
 import sys
 import tarfile
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
+from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[3]
 DEFAULT = ROOT / "build" / "svd"
@@ -23,6 +25,85 @@ def find() -> Path | None:
     """The description: where the environment variable HELI_SVD says, or where `main` puts it."""
     places = (Path(os.environ.get("HELI_SVD", "")), DEFAULT / NAME)
     return next((path for path in places if path.is_file()), None)
+
+
+@dataclass(frozen=True)
+class Register:
+    """One register, or an array of them."""
+
+    peripheral: str
+    name: str  # Its name in the description; an array's ends in [%s]
+    offset: int  # From the start of its peripheral
+    access: str  # read-only, write-only or read-write
+    reset: int | None
+    count: int  # Length of an array; 1 for a single register
+    step: int  # Bytes from one register of an array to the next
+    fields: dict[str, tuple[int, int]]  # Lowest bit and width of each field
+    values: dict[tuple[str, str], int]  # Values of fields that have names, by field and name
+
+
+@dataclass(frozen=True)
+class Peripheral:
+    """One peripheral."""
+
+    address: int  # Where it begins
+    registers: dict[str, Register]  # By name, without the peripheral's prefix
+
+
+@dataclass(frozen=True)
+class Description:
+    """The chip."""
+
+    peripherals: dict[str, Peripheral]  # By name
+    # Number of each interrupt, which is also the identifier of the peripheral's clock
+    interrupts: dict[str, int]
+
+
+def description() -> Description | None:
+    """Read the description; None if it has not been fetched."""
+    path = find()
+    if path is None:
+        return None
+    peripherals, interrupts = {}, {}
+    for node in ElementTree.parse(path).getroot().iter("peripheral"):
+        name = _text(node, "name")
+        registers = {}
+        for element in node.iter("register"):
+            register = _register(name, element)
+            short = register.name.removesuffix("[%s]")
+            for prefix in (f"{name}_", f"{name.rstrip('0123456789')}_"):
+                short = short.removeprefix(prefix)
+            registers[short] = register
+        peripherals[name] = Peripheral(int(_text(node, "baseAddress"), 0), registers)
+        for interrupt in node.findall("interrupt"):
+            interrupts[_text(interrupt, "name")] = int(_text(interrupt, "value"), 0)
+    return Description(peripherals, interrupts)
+
+
+def _register(peripheral: str, node: ElementTree.Element) -> Register:
+    fields, values = {}, {}
+    for field in node.iter("field"):
+        name = _text(field, "name")
+        lowest_bit = int(_text(field, "bitOffset") or _text(field, "lsb"), 0)
+        fields[name] = lowest_bit, int(_text(field, "bitWidth") or "1")
+        for value in field.iter("enumeratedValue"):
+            values[name, _text(value, "name")] = int(_text(value, "value"), 0)
+    reset = _text(node, "resetValue")
+    return Register(
+        peripheral=peripheral,
+        name=_text(node, "name"),
+        offset=int(_text(node, "addressOffset"), 0),
+        access=_text(node, "access"),
+        reset=int(reset, 0) if reset else None,
+        count=int(_text(node, "dim") or "1", 0),
+        step=int(_text(node, "dimIncrement") or "0", 0),
+        fields=fields,
+        values=values,
+    )
+
+
+def _text(node: ElementTree.Element, name: str) -> str:
+    return (node.findtext(name) or "").strip()
 
 
 def main(folder: Path) -> int:

@@ -7,15 +7,15 @@ import io
 import re
 import shutil
 import struct
-from dataclasses import dataclass
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from xml.etree import ElementTree
 
 import fetch_svd
 import pytest
 from due_chip import PROGRAMS, Build
 from due_emulator import Due, Image, new_due, read_image
+from fetch_svd import Register
 
 pytestmark = pytest.mark.emulated
 
@@ -25,51 +25,20 @@ _FROM_OUTSIDE = {"PDSR", "FSR", "SR0", "SR1", "SR2"}
 _WRONG_THERE = {("PMC", "CKGR_MOR"), ("PMC", "PMC_SR"), ("PMC", "CKGR_MCFR"), ("RSTC", "RSTC_SR")}
 
 
-@dataclass(frozen=True)
-class Described:
-    """One register of the description."""
-
-    peripheral: str
-    name: str
-    address: int
-    readable: bool
-    writable: bool
-    reset: int | None
-
-
-def _registers(element: ElementTree.Element, base: int, peripheral: str) -> list[Described]:
-    rows = []
-    for register in element.findall("registers/register"):
-        name = str(register.findtext("name"))
-        offset = int(str(register.findtext("addressOffset")), 16)
-        access = str(register.findtext("access"))
-        value = register.findtext("resetValue")
-        count = int(register.findtext("dim") or "1")
-        step = int(register.findtext("dimIncrement") or "0", 0)
-        for index in range(count):
-            rows.append(
-                Described(
-                    peripheral,
-                    name.replace("[%s]", str(index)),
-                    base + offset + index * step,
-                    access != "write-only",
-                    access != "read-only",
-                    int(value, 16) if value else None,
-                )
-            )
-    return rows
-
-
 @pytest.fixture(scope="module")
-def described() -> dict[int, Described]:
-    path = fetch_svd.find()
-    if path is None:
+def described() -> dict[int, Register]:
+    """The vendor's registers by address."""
+    vendors = fetch_svd.description()
+    if vendors is None:
         pytest.skip(fetch_svd.MISSING)
-    rows = []
-    for element in ElementTree.parse(path).getroot().iter("peripheral"):
-        name = str(element.findtext("name"))
-        rows += _registers(element, int(str(element.findtext("baseAddress")), 16), name)
-    return {row.address: row for row in reversed(rows)}
+    rows: dict[int, Register] = {}
+    for peripheral in vendors.peripherals.values():
+        for register in peripheral.registers.values():
+            for index in range(register.count):
+                name = register.name.replace("[%s]", str(index))
+                address = peripheral.address + register.offset + index * register.step
+                rows.setdefault(address, replace(register, name=name))
+    return rows
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +56,7 @@ def _plain(name: str) -> str:
     return re.sub(r"^(PIO|TC|PWM|ADC|DACC|TRNG|UOTGHS|UART|EEFC|WDT|RSTC|SUPC|RTT|CHIPID)_", "", name)
 
 
-def test_every_register_of_a_modelled_peripheral_is_known(described: dict[int, Described], due: Due) -> None:
+def test_every_register_of_a_modelled_peripheral_is_known(described: dict[int, Register], due: Due) -> None:
     known = {base + offset for _, base, _, offset, *_ in due.registers()}
     modelled = {name for name, *_ in due.registers()}
     missing = [
@@ -99,7 +68,7 @@ def test_every_register_of_a_modelled_peripheral_is_known(described: dict[int, D
     assert len(known) > 400
 
 
-def test_names_and_offsets_are_the_vendors(described: dict[int, Described], due: Due) -> None:
+def test_names_and_offsets_are_the_vendors(described: dict[int, Register], due: Due) -> None:
     mistakes = []
     for peripheral, base, name, offset, *_ in due.registers():
         row = described.get(base + offset)
@@ -108,16 +77,16 @@ def test_names_and_offsets_are_the_vendors(described: dict[int, Described], due:
     assert not mistakes
 
 
-def test_access_is_the_vendors(described: dict[int, Described], due: Due) -> None:
+def test_access_is_the_vendors(described: dict[int, Register], due: Due) -> None:
     mistakes = []
     for peripheral, base, name, offset, readable, writable, _ in due.registers():
         row = described[base + offset]
-        if (row.readable, row.writable) != (readable, writable):
+        if (row.access != "write-only", row.access != "read-only") != (readable, writable):
             mistakes.append(f"{peripheral} {name}: {readable=} {writable=}, the vendor has {row}")
     assert not mistakes
 
 
-def test_reset_values_are_the_vendors(described: dict[int, Described], due: Due) -> None:
+def test_reset_values_are_the_vendors(described: dict[int, Register], due: Due) -> None:
     wrong, compared = [], 0
     for peripheral, base, name, offset, readable, _, modelled in due.registers():
         row = described[base + offset]
@@ -161,7 +130,7 @@ def high_us(due: Due, pin: str, duration_us: float, step_us: float) -> float:
     return high * step_us
 
 
-def test_the_headers_addresses_are_the_vendors(described: dict[int, Described]) -> None:
+def test_the_headers_addresses_are_the_vendors(described: dict[int, Register]) -> None:
     rows = re.findall(r"#define (\w+) REG\(0x(4\w+)\)", HEADER.read_text())
     assert len(rows) > 50
     for name, address in rows:
