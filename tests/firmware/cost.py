@@ -186,6 +186,13 @@ def fly_the_worst(elf: Path, probes: tuple[str, ...] = (CASCADE,)) -> list[Fligh
     return flights
 
 
+def link_program(elf: Path, *object_files: Path, cross: str = "arm-none-eabi-") -> None:
+    """Link a program that runs on an emulated Due without the firmware."""
+    command = [f"{cross}gcc", "-mcpu=cortex-m3", "-mthumb", "-nostartfiles", f"-T{PROGRAMS / 'due.ld'}"]
+    files = (PROGRAMS / "start.S", *object_files)
+    subprocess.run([*command, *files, "-lgcc", "-o", elf], check=True)
+
+
 def measure_pid_v1(cross: str = "arm-none-eabi-") -> int:
     """Count three loops of Arduino's PID_v1, compiled with the firmware's flags."""
     with tempfile.TemporaryDirectory() as folder:
@@ -193,13 +200,7 @@ def measure_pid_v1(cross: str = "arm-none-eabi-") -> int:
         object_file = Path(folder) / "pid_v1.o"
         source = Path(__file__).with_name("pid_v1.cpp")
         subprocess.run([f"{cross}g++", f"@{FLAGS}", "-c", source, "-o", object_file], check=True)
-        subprocess.run(
-            [
-                f"{cross}gcc", "-mcpu=cortex-m3", "-mthumb", "-nostartfiles", "-T", PROGRAMS / "due.ld",
-                PROGRAMS / "start.S", object_file, "-lgcc", "-o", elf,
-            ],
-            check=True,
-        )  # fmt: skip
+        link_program(elf, object_file, cross=cross)
         program = read_program(elf)
         due = new_due(program)
         address = program.address(PID_LOOPS)

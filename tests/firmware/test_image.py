@@ -16,7 +16,7 @@ from firmware.due.report import Function, Image
 from firmware.generator.declared import DeclarationError
 from firmware.generator.wiring import CHIP_PINS, generate_header, read_pins, rows
 from tests.firmware.built import BUILD, ROOT, built_elf
-from tests.firmware.cost import Costs, measure_costs
+from tests.firmware.cost import FLAGS, Costs, link_program, measure_costs
 
 FLASH_END = 0x00100000
 PARAMETER_PAGES = 2 * 512
@@ -93,6 +93,12 @@ def test_divisions_of_the_idle_loop_are_seen(image: Image) -> None:
     assert "__aeabi_fdiv" in image.reachable("reset_handler")
 
 
+def with_leaf(image: Image, name: str, caller: str, stack_bytes: int = 0) -> Image:
+    """The same firmware with one more function, which calls nothing and is called by `caller`."""
+    leaf = Function(name, frozenset(), slots=frozenset(), stack_bytes=stack_bytes)
+    return firmware_with_function(image, leaf, caller)
+
+
 def firmware_with_function(image: Image, function: Function, caller: str) -> Image:
     """The same firmware with one more function, called by `caller`."""
     functions = dict(image.functions)
@@ -107,26 +113,18 @@ def firmware_with_function(image: Image, function: Function, caller: str) -> Ima
 @pytest.mark.emulated
 @pytest.mark.parametrize("name", ["__aeabi_ddiv", "__aeabi_dmul", "__aeabi_uldivmod", "__aeabi_idiv", "expf"])
 def test_slow_arithmetic_in_the_tick_is_found(image: Image, name: str) -> None:
-    slow = firmware_with_function(
-        image, Function(name, frozenset(), slots=frozenset(), stack_bytes=0), "tick_interrupt"
-    )
-    assert any(name in line for line in report.findings(slow))
+    assert any(name in line for line in report.findings(with_leaf(image, name, "tick_interrupt")))
 
 
 @pytest.mark.emulated
 @pytest.mark.parametrize("name", ["malloc", "_sbrk", "_Znwj", "_ZdlPv"])
 def test_a_heap_is_found(image: Image, name: str) -> None:
-    heap = firmware_with_function(
-        image, Function(name, frozenset(), slots=frozenset(), stack_bytes=0), "reset_handler"
-    )
-    assert any(name in line for line in report.findings(heap))
+    assert any(name in line for line in report.findings(with_leaf(image, name, "reset_handler")))
 
 
 @pytest.mark.emulated
 def test_a_deep_stack_is_found(image: Image) -> None:
-    deep = firmware_with_function(
-        image, Function("deep", frozenset(), slots=frozenset(), stack_bytes=3000), "tick_interrupt"
-    )
+    deep = with_leaf(image, "deep", "tick_interrupt", stack_bytes=3000)
     assert any("stack" in line for line in report.findings(deep))
 
 
@@ -144,8 +142,6 @@ def test_too_large_a_firmware_is_found(image: Image) -> None:
     assert len(report.findings(large)) == 2
 
 
-FLAGS = ROOT / "firmware" / "due" / "compile.flags"
-PROGRAMS = ROOT / "sim" / "due" / "tests" / "programs"
 SLOW_FIRST, SLOW_SECOND = "_ZN4Slow5firstE8IdleLoop", "_ZN4Slow6secondE8IdleLoop"
 FIRST = {"_ZN4Idle5firstEv", "_ZN4Tick5firstEv", SLOW_FIRST}
 SECOND = {"_ZN4Idle6secondEv", "_ZN4Tick6secondEv", SLOW_SECOND}
@@ -164,21 +160,9 @@ def calls(tmp_path_factory: pytest.TempPathFactory) -> Image:
     subprocess.run(
         ["arm-none-eabi-g++", *flags, "-c", here / "calls.cpp", "-o", folder / "calls.o"], check=True
     )
-    assembler: list[str | Path] = [
-        "arm-none-eabi-as",
-        "-mcpu=cortex-m3",
-        here / "calls.s",
-        "-o",
-        folder / "deceptive.o",
-    ]
-    subprocess.run(assembler, check=True)
-    subprocess.run(
-        [
-            "arm-none-eabi-gcc", "-mcpu=cortex-m3", "-mthumb", "-nostartfiles", "-T", PROGRAMS / "due.ld",
-            PROGRAMS / "start.S", folder / "calls.o", folder / "deceptive.o", "-lgcc", "-o", program,
-        ],
-        check=True,
-    )  # fmt: skip
+    assembler = ["arm-none-eabi-as", "-mcpu=cortex-m3"]
+    subprocess.run([*assembler, here / "calls.s", "-o", folder / "deceptive.o"], check=True)
+    link_program(program, folder / "calls.o", folder / "deceptive.o")
     return report.read_image(program)
 
 

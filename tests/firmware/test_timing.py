@@ -8,16 +8,19 @@ from heli_host.board.heli import Heli
 from heli_host.declaration import PARAMS, Channel, Fault, Param, State
 
 from tests.firmware.desk import (
+    CLOCK_DISABLE,
     ENABLE_PINS,
     MAX_MS,
     POLL,
     TICK,
     TICK_INTERRUPT,
+    TICK_TIMER_CONTROL,
     TRAVEL,
     Board,
     FASTEST_Hz,
     SLOWEST_Hz,
     boot_to_first_frame_ms,
+    halt_at,
     store,
 )
 from tests.flight.harness import TRACKING
@@ -25,8 +28,6 @@ from tests.flight.harness import TRACKING
 pytestmark = pytest.mark.emulated
 
 
-TICK_TIMER_CONTROL = 0x40084000
-CLOCK_DISABLE = 1 << 1
 QUIET_TICK_US = 60
 CYCLES_PER_US = 84.0
 
@@ -74,11 +75,7 @@ def test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick(board: B
     heli.wait(0.02)
     tick_end(board)
     served, entered = board.due.exception_stats(TICK_INTERRUPT)[0], entered_us(board)
-    board.due.add_breakpoint(board.image.symbols[TICK] & ~1)
-    board.due.run_us(1500.0)
-    assert board.due.halt == "breakpoint"
-    board.due.remove_breakpoint(board.image.symbols[TICK] & ~1)
-    board.due.resume()
+    halt_at(board, TICK, max_us=1500.0)
     board.due.hold_processor(True)
     board.due.run_us(1400.0)
     board.due.hold_processor(False)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
+from heli_host.fly.plan import Plan
 from heli_host.ui.cli import run
 from heli_lab.watch.encoder_scale import (
     Explanation,
@@ -93,21 +94,19 @@ def test_right_scales_give_no_finding() -> None:
     assert all(estimate.sigmas < 2.0 and estimate.standard_error < 0.2 for estimate in estimates)
 
 
-def test_flights_from_python_are_checked_too(tmp_path: Path) -> None:
-    (tmp_path / "short.toml").write_text(PLAN)
+def test_flights_from_python_are_checked_too() -> None:
     with heli_host.connect("sil://?encoder_scale=pitch:0.8") as heli:
-        (finding,) = heli.fly(tmp_path / "short.toml").findings
+        (finding,) = heli.fly(Plan.parse(PLAN, "short")).findings
     assert finding.name == "pitch_encoder_scale"
     assert finding.value is not None and finding.standard_error is not None
     assert abs(finding.value - 0.8) < 3.0 * finding.standard_error < 0.15
 
 
-def test_wrong_supply_accuses_no_encoder(tmp_path: Path) -> None:
+def test_wrong_supply_accuses_no_encoder() -> None:
     """The motors get half the voltage that the board computes, so that axes move less than predicted."""
-    (tmp_path / "short.toml").write_text(PLAN)
     with heli_host.connect("sil://?speed=max") as heli:
         heli.params["supply_V"] = 24.0
-        (finding,) = heli.fly(tmp_path / "short.toml").findings
+        (finding,) = heli.fly(Plan.parse(PLAN, "short")).findings
     assert finding.name.endswith("_motion")
     factor = re.search(r"a wrong supply_V \(the motors act as if they had ([\d.]+) times", finding.text)
     assert factor and float(factor[1]) == pytest.approx(0.5, abs=0.05)
@@ -168,9 +167,9 @@ def test_gusts_that_the_law_answers_are_no_wrong_elevation() -> None:
 
 
 def test_a_hover_says_nothing_of_travel() -> None:
-    (folder := Path(mkdtemp()) / "hover.toml").write_text(PLAN.split("[[segment]]", maxsplit=1)[0] + HOLD)
+    hover = Plan.parse(PLAN.split("[[segment]]", maxsplit=1)[0] + HOLD, "hover")
     with heli_host.connect("sil://?encoder_scale=travel:0.5") as heli:
-        assert heli.fly(folder).findings == ()
+        assert heli.fly(hover).findings == ()
 
 
 HOLD = """

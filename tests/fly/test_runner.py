@@ -335,20 +335,21 @@ def test_a_host_suspended_between_arming_and_control_reports_the_boards_reason(t
     assert summary.outcome.startswith("aborted: the board went to state idle, because of stale_land")
 
 
-def test_a_landing_whose_event_is_lost_is_not_said_to_come_from_its_touchdown(tmp_path: Path) -> None:
+def test_a_landing_whose_event_is_lost_is_not_said_to_come_from_its_touchdown(
+    heli: Heli, tmp_path: Path
+) -> None:
     def suspended(progress: Progress) -> None:
         if progress.t_s > 5.0 and lost:
             lost.pop().advance(7000)
 
-    with connect("sil://?rig=makki2024&seed=3&speed=max") as heli:
-        lost = [world_of(heli)]
-        heli.session.permit_streams(lambda: bool(lost))
-        summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=suspended)
+    lost = [world_of(heli)]
+    heli.session.permit_streams(lambda: bool(lost))
+    summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=suspended)
     assert "because of stale_land" in summary.outcome and "touchdown" not in summary.outcome
 
 
 def test_a_host_suspended_behind_the_plans_end_reports_the_boards_landing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    heli: Heli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def suspended(monitor: TrackingMonitor) -> str:
         heli.session.permit_streams(lambda: False)
@@ -356,8 +357,7 @@ def test_a_host_suspended_behind_the_plans_end_reports_the_boards_landing(
         return ""
 
     monkeypatch.setattr(TrackingMonitor, "verdict", suspended)
-    with connect("sil://?rig=makki2024&seed=3&speed=max") as heli:
-        summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
+    summary = fly(heli, short(), log_path=tmp_path / "a.mcap")
     assert summary.outcome == "aborted: the board went to state idle (state landing, because of stale_land)"
 
 

@@ -255,13 +255,23 @@ def test_a_new_program_at_the_same_path_is_read_again(build: Build, tmp_path: Pa
     assert addresses[0] == addresses[2] != addresses[1]
 
 
-def booted(image: Image) -> DueBoard:
+def loaded(image: Image) -> DueBoard:
     board = DueBoard()
     for address, data in image.segments:
         board.due.load(address, data)
-    for _ in range(20):
-        board.run(STILL, [])
     return board
+
+
+def booted(image: Image) -> DueBoard:
+    board = loaded(image)
+    stand_still(board, 20)
+    return board
+
+
+def stand_still(board: DueBoard, milliseconds: int) -> None:
+    """Let time pass while no encoder moves."""
+    for _ in range(milliseconds):
+        board.run(STILL, [])
 
 
 def words(board: DueBoard, image: Image, name: str, count: int) -> tuple[int, ...]:
@@ -272,8 +282,7 @@ def words(board: DueBoard, image: Image, name: str, count: int) -> tuple[int, ..
 def test_a_millisecond_is_84000_cycles(image: Image) -> None:
     board = booted(image)
     before = board.due.cycles
-    for _ in range(100):
-        board.run(STILL, [])
+    stand_still(board, 100)
     assert board.due.cycles - before == pytest.approx(100 * 84_000, abs=20)
 
 
@@ -320,11 +329,9 @@ def test_the_reset_line_stops_the_motors_for_205_ms(image: Image) -> None:
     board.reset()
     # The pins are inputs; pull-downs hold the enables.
     assert not board.run(STILL, [])[2]
-    for _ in range(203):
-        board.run(STILL, [])
+    stand_still(board, 203)
     assert board.due.held_in_reset
-    for _ in range(3):
-        board.run(STILL, [])
+    stand_still(board, 3)
     assert not board.due.held_in_reset
     assert board.due.last_reset == "user"
 
@@ -333,28 +340,23 @@ def test_the_reset_line_stops_the_motors_for_205_ms(image: Image) -> None:
 def test_power_up_starts_the_program_again(image: Image) -> None:
     board = booted(image)
     board.power_cycle()
-    for _ in range(20):
-        board.run(STILL, [])
+    stand_still(board, 20)
     assert board.due.last_reset == "general"
     assert words(board, image, "loops", 1)[0] > 0
 
 
-def ticking(build: Build) -> tuple[DueBoard, Image]:
+def ticking(build: Build) -> DueBoard:
     """A program whose SysTick comes every millisecond."""
-    image = read_image(build("hello.c", "-O1"))
-    board = DueBoard()
-    for address, data in image.segments:
-        board.due.load(address, data)
+    board = loaded(read_image(build("hello.c", "-O1")))
     board.align(SYSTICK)
-    return board, image
+    return board
 
 
 @pytest.mark.emulated
 def test_milliseconds_begin_with_the_programs_own_tick_after_every_start(build: Build) -> None:
-    board, _ = ticking(build)
+    board = ticking(build)
     for _ in range(2):
-        for _ in range(30):
-            board.run(STILL, [])
+        stand_still(board, 30)
         for _ in range(20):
             end, before = board.due.cycles, board.due.last_entry_cycle(SYSTICK)
             board.run(STILL, [])
@@ -366,7 +368,7 @@ def test_milliseconds_begin_with_the_programs_own_tick_after_every_start(build: 
 
 @pytest.mark.emulated
 def test_time_begins_with_the_first_tick(build: Build) -> None:
-    board, _ = ticking(build)
+    board = ticking(build)
     board.run(STILL, [])
     assert board.due.last_entry_cycle(SYSTICK) > 0
     assert board.due.exception_stats(SYSTICK)[0] == 1
@@ -374,9 +376,8 @@ def test_time_begins_with_the_first_tick(build: Build) -> None:
 
 @pytest.mark.emulated
 def test_edges_of_a_millisecond_come_between_its_command_and_the_next_tick(build: Build) -> None:
-    board, _ = ticking(build)
-    for _ in range(5):
-        board.run(STILL, [])
+    board = ticking(build)
+    stand_still(board, 5)
     board.run(STILL, [(0.0, 2, 1), (999.9, 2, 1)])
     assert board.due.encoder(2) == 2
     assert board.due.cycles < board.due.last_entry_cycle(SYSTICK) + 84_000
@@ -404,8 +405,7 @@ def test_the_stop_switch_is_closed_until_it_is_pressed_or_its_wire_is_cut(image:
 def test_an_erased_board_starts_nothing(image: Image) -> None:
     board = booted(image)
     board.erase()
-    for _ in range(300):
-        board.run(STILL, [])
+    stand_still(board, 300)
     assert board.due.in_rom
     assert set(board.due.flash()) == {0xFF}
 
@@ -464,9 +464,7 @@ def rig_file(folder: Path, **values: float) -> Path:
 def address_of_board(board: str, rig: Path, **more: str) -> str:
     if board == "due" and not firmware.candidates():
         pytest.skip("no firmware is built")
-    return "sil://?" + "&".join(
-        f"{key}={value}" for key, value in {"rig": rig, "board": board, **more}.items()
-    )
+    return url({"rig": str(rig), "board": board}, **more)
 
 
 def true_deg(heli: Heli) -> list[float]:
