@@ -458,12 +458,12 @@ def test_the_data_card_says_whether_the_truth_is_sealed(sealed: tuple[Path, Path
 
 
 COUNT = 24
-SHORT_s = 2.0
+SHORT_s = 1.0
 
 
 @pytest.fixture(scope="module")
 def split(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Split]:
-    """A split whose flights last two seconds each; rigs, controllers, rates and causes are drawn as usual."""
+    """A split whose flights last a second each; rigs, controllers, rates and causes are drawn as usual."""
     folder = tmp_path_factory.mktemp("whole") / "public"
 
     def short(seed: int, count: int) -> Iterator[PublishedCase]:
@@ -506,7 +506,7 @@ def test_base_rates_have_skill_0_and_the_truth_skill_1_on_flown_cases(split: Spl
 def test_the_true_torques_of_unlisted_causes_are_scored_as_a_right_equation(
     split: Split, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Flights of two seconds show no cause clearly.
+    # Flights of a second show no cause clearly.
     monkeypatch.setattr(scores, "MIN_VISIBILITY_STD", 0.0)
 
     def with_torques(truth: dict[str, Any]) -> Answer:
