@@ -62,6 +62,16 @@ def hold_voltage(log: Log) -> None:
     log["front_V"][held] = log["front_V"][held.start]
 
 
+def hold_rounded_voltage(log: Log) -> None:
+    for motor in ("front_V", "back_V"):
+        log[motor] = np.round(log[motor], 2)
+    hold_voltage(log)
+
+
+def change_unit_in_the_middle_of_a_part(log: Log) -> None:
+    log["pitch_rad"][rows(log, 93.0, 1e3)] /= np.degrees(1.0)
+
+
 def cut_voltage(log: Log) -> None:
     log["back_V"][rows(log, 50.0, 51.0)] = 0.0
 
@@ -83,6 +93,8 @@ def halve_pitch(log: Log) -> None:
         (lose_counts, "pitch's zero in parts of the file"),
         (limit, "pitch beyond its highest value"),
         (hold_voltage, "the front voltage in parts of the file"),
+        (hold_rounded_voltage, "the front voltage in parts of the file"),
+        (change_unit_in_the_middle_of_a_part, "pitch's unit in parts of the file"),
         (cut_voltage, "the back voltage in parts of the file"),
         (slow_clock, "the rate of the clock"),
         (halve_pitch, "the scale of pitch's encoder"),
@@ -100,6 +112,28 @@ def test_the_encoders_of_another_rig_are_only_doubted_if_the_user_names_the_rig(
     log["travel_rad"] *= 0.5
     assert subjects(log) == []
     assert subjects(log, is_given=True) == ["the scale of travel's encoder"]
+
+
+def test_a_voltage_at_its_limit_is_no_failed_link_if_pitch_responds() -> None:
+    t_s = 0.02 * np.arange(3000)
+    random = np.random.default_rng(1)
+    wanted_V = 1.5 * np.sin(1.7 * t_s) * np.sin(0.31 * t_s) + random.normal(0.0, 0.02, t_s.size)
+    front_V, back_V = 1.7 + 0.5 * wanted_V, 1.7 - 0.5 * wanted_V
+    # A driver with a dead zone jumps to 0.
+    back_V[back_V < 1.2] = 0.0
+    pitch_rad = np.zeros(t_s.size)
+    rate_rad_s = 0.0
+    for row in range(1, t_s.size):
+        torque = 2.9 * (front_V[row - 1] - back_V[row - 1])
+        rate_rad_s += 0.02 * (torque - 3.0 * rate_rad_s - 8.0 * pitch_rad[row - 1])
+        pitch_rad[row] = pitch_rad[row - 1] + 0.02 * rate_rad_s
+    elevation_rad = np.where(t_s < 1.0, -0.4, 0.02 * np.sin(t_s))
+    travel_rad = np.cumsum(np.cumsum(pitch_rad)) * 4e-4
+    columns = (t_s, elevation_rad, pitch_rad, travel_rad, front_V, back_V)
+    log = dict(zip(NAMES, columns, strict=True))
+    assert "the back voltage in parts of the file" not in subjects(log)
+    log["back_V"][rows(log, 20.5, 21.5)] = 0.0
+    assert "the back voltage in parts of the file" in subjects(log)
 
 
 @pytest.mark.parametrize("path", measured(), ids=lambda path: path.name)

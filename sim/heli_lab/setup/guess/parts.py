@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
@@ -12,7 +11,7 @@ from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import Flight
 from heli_host.data.tables import Column, Profile, Table, convert
 from heli_host.data.tables.convert import times_of
-from heli_host.data.tables.rows import is_active, runs_of
+from heli_host.data.tables.rows import runs_of
 from heli_host.data.tables.table import COUNT
 from heli_host.errors import FlightDataError
 from heli_sim.rig import Rig
@@ -20,15 +19,20 @@ from heli_sim.rig import Rig
 from heli_lab.setup.guess.motion import Assignment, Reference, RegressionFit, axis_regressions, reference_of
 from heli_lab.setup.guess.names import AXES, PAIR
 from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity
-from heli_lab.setup.guess.signals import column_signals, quantisation_step
-from heli_lab.setup.guess.signs import sign_suspects
+from heli_lab.setup.guess.signals import EDGE_S, column_signals, delay, quantisation_step
+from heli_lab.setup.guess.signs import confirmed_by_simulation, sign_suspects
 
 _COLUMNS: Final = ("elevation_rad", "pitch_rad", "travel_rad", "front_V", "back_V")
 _PART_S: Final = 12.0
 """Length of the parts in which signs and units are compared [s]: in most of them, each axis moves enough."""
+_SIGN_NATS: Final = 10.0
+"""Evidence from which on an axis moves against its cause in a part [nats]. Among dozens of parts, some give
+more than `DECISIVE_NATS` by chance."""
 _UNIT_RATIO: Final = 6.0
 """Ratio of the gains of two parts from which on a unit changes between them. Parts of measured and simulated
 flights differ by up to 3, degrees and radians by 57."""
+_STEPS_RATIO: Final = 20.0
+"""The same ratio of the steps of an encoder. Rows that are filled in divide a step by up to 6."""
 _NEAR_S: Final = 0.3
 """Time before and after a part in which a voltage still changes [s]."""
 _HELD_S: Final = 0.3
@@ -36,10 +40,17 @@ _HELD_INTERVALS: Final = 5.0
 _MAX_INTERVAL_S: Final = 0.1
 """Shortest time for which a voltage is held by a failed link [s], also as a multiple of the usual interval
 between its changes. A voltage that changes less often is a signal of steps."""
+_LIMIT_SHARE: Final = 0.3
+"""Share of this time from which on a voltage is held at other times, too, so that it is a limit."""
 _VOLTAGE_JUMP: Final = 2.0
 _LIMIT_JUMP: Final = 0.5
 """Steps to and from a voltage that is also a limit, as a multiple of large steps near them, and as a share of
 the distance of the limit from the usual voltage. Amplifiers reach their limits within several rows."""
+_CHANGING_SHARE: Final = 0.5
+"""Smallest number of changes beside such a part, as a share of the usual one."""
+_ERROR_RATIO: Final = 2.0
+"""Squared error of the model of pitch with a voltage at its limit, over that with a straight line in its
+place, from which on the motor did not get this voltage. Set by judgement."""
 _ALOFT_DEG: Final = 2.0
 """Height above the lowest elevation from which on the arm does not rest on its table [deg]."""
 _FLAT_S: Final = 0.3
@@ -80,9 +91,9 @@ def part_ambiguities(
             continue
         rows = table.aligned([angle.column for angle in profile.angles.values()])
         ambiguities += _changed_rate(rows, profile) + _decodings(rows, profile, rig, is_given=is_given)
-    ambiguities += _changed_motion(flights, reference)
+    ambiguities += _changed_motion(flights, reference, rig)
     for flight in flights:
-        ambiguities += _jumps(flight) + _flat_tops(flight) + _held_voltages(flight)
+        ambiguities += _jumps(flight) + _flat_tops(flight) + _held_voltages(flight, reference)
     return list({ambiguity.subject: ambiguity for ambiguity in reversed(ambiguities)}.values())[::-1]
 
 
@@ -119,10 +130,10 @@ def _changed_rate(table: Table, profile: Profile) -> list[Ambiguity]:
 
 
 def _parts_of(flight: Flight) -> Iterator[Flight]:
-    """Divide a flight into parts of equal length."""
-    count = max(1, int(flight.duration_s / _PART_S))
-    edges = np.linspace(0, len(flight), count + 1).astype(int)
-    for start, stop in itertools.pairwise(edges.tolist()):
+    """Divide a flight into parts of equal length, each of which shares its halves with its neighbours."""
+    halves = max(2, 2 * int(flight.duration_s / _PART_S))
+    edges = np.linspace(0, len(flight), halves + 1).astype(int).tolist()
+    for start, stop in zip(edges[:-2], edges[2:], strict=True):
         yield flight.between(float(flight.t_s[start]), float(flight.t_s[stop - 1]) + 0.5 * flight.step_s)
 
 
@@ -136,14 +147,18 @@ def _regressions(part: Flight, reference: Reference) -> dict[str, RegressionFit]
     return axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))
 
 
-def _changed_motion(flights: Sequence[Flight], reference: Reference) -> list[Ambiguity]:
+def _changed_motion(flights: Sequence[Flight], reference: Reference, rig: Rig) -> list[Ambiguity]:
     """Report parts in which an axis moves against its cause, or many times as far as in the others."""
     parts = [part for flight in flights for part in _parts_of(flight) if part.duration_s > 0.5 * _PART_S]
     if len(parts) < 2:
         return []
     fits = [_regressions(part, reference) for part in parts]
-    opposite = [(part, sign_suspects(fit)) for part, fit in zip(parts, fits, strict=True) if fit]
+    opposite = [(part, sign_suspects(fit, _SIGN_NATS)) for part, fit in zip(parts, fits, strict=True) if fit]
     opposite = [(part, suspects) for part, suspects in opposite if suspects]
+    if len(opposite) == 1:
+        # Feedback without excitation shows the opposite sign now and then.
+        opposite = [(part, confirmed_by_simulation(suspects, part, rig)) for part, suspects in opposite]
+        opposite = [(part, suspects) for part, suspects in opposite if suspects]
     result = []
     if opposite and len(opposite) < len(parts):
         part, suspects = opposite[0]
@@ -157,7 +172,11 @@ def _changed_motion(flights: Sequence[Flight], reference: Reference) -> list[Amb
                 "out with leave_out_s",
             )
         )
+    result += _changed_steps(parts)
+    doubted = {ambiguity.subject for ambiguity in result}
     for axis in AXES:
+        if _unit_subject(axis) in doubted:
+            continue
         gains = [
             (part, abs(fit[axis].gain))
             for part, fit in zip(parts, fits, strict=True)
@@ -170,7 +189,7 @@ def _changed_motion(flights: Sequence[Flight], reference: Reference) -> list[Amb
         if largest > _UNIT_RATIO * smallest:
             result.append(
                 Ambiguity(
-                    f"{axis}'s unit in parts of the file",
+                    _unit_subject(axis),
                     "the same in the whole file",
                     f"another one from {_span_text(part)} than from {_span_text(other)}",
                     f"in the latter, {axis} responds {largest / smallest:.0f} times as strongly; look up "
@@ -178,6 +197,33 @@ def _changed_motion(flights: Sequence[Flight], reference: Reference) -> list[Amb
                 )
             )
     return result
+
+
+def _changed_steps(parts: Sequence[Flight]) -> list[Ambiguity]:
+    """Report angles whose encoder moves in other steps in some parts than in others."""
+    result = []
+    for axis in AXES:
+        steps = [(part, quantisation_step(getattr(part, f"{axis}_rad"))) for part in parts]
+        steps = [(part, step) for part, step in steps if step]
+        if not steps:
+            continue
+        part, smallest = min(steps, key=lambda pair: pair[1])
+        other, largest = max(steps, key=lambda pair: pair[1])
+        if largest > _STEPS_RATIO * smallest:
+            result.append(
+                Ambiguity(
+                    _unit_subject(axis),
+                    "the same in the whole file",
+                    f"another one from {_span_text(part)} than from {_span_text(other)}",
+                    f"in the latter, {axis} moves in steps that are {largest / smallest:.0f} times as large; "
+                    "look up what changed within the file, and leave one part out with leave_out_s",
+                )
+            )
+    return result
+
+
+def _unit_subject(axis: str) -> str:
+    return f"{axis}'s unit in parts of the file"
 
 
 def _span_text(part: Flight) -> str:
@@ -260,59 +306,117 @@ def _is_abrupt(angle_deg: Floats, span: tuple[int, int], step_s: float, encoder_
     return bool(min(abs(entry), abs(leave)) > _FLAT_STEPS * max(encoder_deg, 0.02))
 
 
-def _held_voltages(flight: Flight) -> list[Ambiguity]:
+def _held_voltages(flight: Flight, reference: Reference) -> list[Ambiguity]:
     """Report a voltage that stands still in the air while the other one changes, as over a failed link."""
     volts = {"front": flight.front_V, "back": flight.back_V}
     changes = {motor: np.diff(values) for motor, values in volts.items()}
     elevation_deg = np.degrees(flight.elevation_rad)
     aloft_deg = float(elevation_deg.min()) + _ALOFT_DEG
+    pitch_fit = _regressions(flight, reference).get("pitch")
     for motor, other in (PAIR, PAIR[::-1]):
         intervals = np.diff(np.flatnonzero(changes[motor]))
-        if intervals.size < 10:
+        if intervals.size < 10 or pitch_fit is None:
             continue
         usual_rows = float(np.quantile(intervals, 0.95))
         if usual_rows * flight.step_s > _MAX_INTERVAL_S:
             continue
         rows = max(_HELD_S / flight.step_s, _HELD_INTERVALS * usual_rows)
         for start, last in runs_of(changes[motor] == 0.0):
-            stop = last + 1
-            is_aloft = float(np.median(elevation_deg[start:stop])) > aloft_deg
-            if last - start < rows or not is_aloft:
-                continue
-            if is_active(changes[other][start:last], changes[other]) and _is_held(
-                volts[motor], changes[motor], (start, stop), flight.step_s
+            span = start, last + 1
+            is_aloft = float(np.median(elevation_deg[slice(*span)])) > aloft_deg
+            if (
+                last - start < rows
+                or not is_aloft
+                or not _changes_around(changes, motor, other, span, flight)
             ):
-                return [
-                    Ambiguity(
-                        f"the {motor} voltage in parts of the file",
-                        f"{volts[motor][start]:.2f} V from {flight.t_s[start]:.2f} to "
-                        f"{flight.t_s[stop - 1]:.2f} s, as logged",
-                        "unknown there",
-                        f"it changes before and after, and the {other} voltage all the time; if a link "
-                        "failed, leave these rows out with leave_out_s",
-                    )
-                ]
+                continue
+            if _is_limit(volts[motor], span, _LIMIT_SHARE * rows) and not (
+                _jumps_to_limit(volts[motor], span, flight.step_s)
+                and _is_ignored(flight, motor, span, pitch_fit.lag_s)
+            ):
+                continue
+            return [
+                Ambiguity(
+                    f"the {motor} voltage in parts of the file",
+                    f"{volts[motor][start]:.2f} V, as logged from {flight.t_s[start]:.2f} to "
+                    f"{flight.t_s[last]:.2f} s",
+                    "unknown there",
+                    f"it changes before and after, and the {other} voltage all the time; if a link failed, "
+                    "leave these rows out with leave_out_s",
+                )
+            ]
     return []
 
 
-def _is_held(volts: Floats, changes: Floats, span: tuple[int, int], step_s: float) -> bool:
-    """Whether a voltage stops changing within a row, and begins again within a row. Shapes: (n,)."""
+def _changes_around(
+    changes: Mapping[str, Floats], motor: str, other: str, span: tuple[int, int], flight: Flight
+) -> bool:
+    """Whether a voltage changes as often as usual just before and after a part, and the other one within."""
     start, stop = span
-    near = max(5, round(_NEAR_S / step_s))
-    before, after = changes[max(start - 1 - near, 0) : max(start - 1, 0)], changes[stop : stop + near]
-    if not (is_active(before, changes) and is_active(after, changes)):
-        return False
+    near = max(5, round(_NEAR_S / flight.step_s))
+    before = changes[motor][max(start - 1 - near, 0) : max(start - 1, 0)]
+    beside = (changes[motor], before), (changes[motor], changes[motor][stop : stop + near])
+    pairs = (*beside, (changes[other], changes[other][start : stop - 1]))
+    return all(
+        part.size > 0 and np.mean(part != 0.0) >= _CHANGING_SHARE * np.mean(whole != 0.0)
+        for whole, part in pairs
+    )
+
+
+def _is_limit(volts: Floats, span: tuple[int, int], held_rows: float) -> bool:
+    """Whether the voltage in a part is the largest or smallest, or is held at other times, too, for as many
+    rows. Shapes: `volts` (n,).
+    """
+    start, stop = span
     value = float(volts[start])
     is_equal: Booleans = np.abs(volts - value) < 1e-9
     is_equal[start:stop] = False
-    is_limit = value in (float(volts.min()), float(volts.max())) or any(
-        last - first > 2 for first, last in runs_of(is_equal)
+    return value in (float(volts.min()), float(volts.max())) or any(
+        last - first >= held_rows for first, last in runs_of(is_equal)
     )
-    if not is_limit:
-        return True
-    large = float(np.quantile(np.abs(np.concatenate((before, after))), 0.9))
-    jump = min(abs(float(changes[start - 1])), abs(float(changes[stop - 1])))
-    return jump > max(_VOLTAGE_JUMP * large, _LIMIT_JUMP * abs(float(np.median(volts)) - value))
+
+
+def _jumps_to_limit(volts: Floats, span: tuple[int, int], step_s: float) -> bool:
+    """Whether a voltage jumps to a limit and from it. Shapes: `volts` (n,)."""
+    start, stop = span
+    near = max(5, round(_NEAR_S / step_s))
+    beside = np.concatenate((volts[max(start - 1 - near, 0) : start], volts[stop : stop + near + 1]))
+    jump = min(abs(float(volts[start] - volts[start - 1])), abs(float(volts[stop] - volts[stop - 1])))
+    large = float(np.quantile(np.abs(np.diff(beside)), 0.9))
+    return jump > max(_VOLTAGE_JUMP * large, _LIMIT_JUMP * abs(float(np.median(volts)) - float(volts[start])))
+
+
+def _is_ignored(flight: Flight, motor: str, span: tuple[int, int], lag_s: float) -> bool:
+    """Whether pitch, which follows the voltages after a lag, `lag_s` [s], responds as if a motor had got
+    another voltage than in a part of the log.
+
+    Amplifiers have limits, so that a voltage stands still there without a failed link.
+    """
+    start, stop = span
+    volts = {"front": flight.front_V, "back": flight.back_V}
+    logged_V = volts["front"] - volts["back"]
+    bridged = volts[motor].copy()
+    bridged[start:stop] = np.interp(
+        flight.t_s[start:stop], flight.t_s[[start - 1, stop]], bridged[[start - 1, stop]]
+    )
+    bridged_V = (volts | {motor: bridged})["front"] - (volts | {motor: bridged})["back"]
+    columns = {"pitch": flight.pitch_rad, "logged": logged_V, "bridged": bridged_V}
+    table = Table("flight", {name: Column(values) for name, values in columns.items()})
+    signals = column_signals(table, flight.t_s, list(columns))
+    pitch = signals.filtered["pitch"]
+
+    def regressors(cause: str) -> Floats:
+        response = delay(signals.filtered[cause].value, lag_s)
+        return np.column_stack((np.ones(response.size), response, pitch.rate, np.sin(pitch.value)))
+
+    near = (signals.t_s > flight.t_s[start] - EDGE_S) & (signals.t_s < flight.t_s[stop] + lag_s + EDGE_S)
+    others = signals.inner & ~near
+    solution, *_ = np.linalg.lstsq(regressors("bridged")[others], pitch.acceleration[others], rcond=None)
+    errors = {
+        cause: float(np.sum((pitch.acceleration - regressors(cause) @ solution)[near & signals.inner] ** 2))
+        for cause in ("logged", "bridged")
+    }
+    return errors["logged"] > _ERROR_RATIO * errors["bridged"]
 
 
 def _decodings(table: Table, profile: Profile, rig: Rig, *, is_given: bool) -> list[Ambiguity]:

@@ -289,7 +289,7 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     regressions = axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))
     suspects = sign_suspects(regressions)
     if suspects:
-        suspects = _confirmed_by_simulation(suspects, flight, rig)
+        suspects = confirmed_by_simulation(suspects, flight, rig)
     deg_per_unit = dict.fromkeys(AXES, math.degrees(1.0))
     if regressions["elevation"].gain < 0.0:
         deg_per_unit["elevation"] *= -1.0
@@ -298,7 +298,7 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     return (*suspects, wrong_zero) if wrong_zero is not None else tuple(suspects)
 
 
-def _confirmed_by_simulation(suspects: list[WrongSign], flight: Flight, rig: Rig) -> list[WrongSign]:
+def confirmed_by_simulation(suspects: list[WrongSign], flight: Flight, rig: Rig) -> list[WrongSign]:
     """Keep the suspects whose inverted signs let the baseline model fit clearly better.
 
     If the flight is too short to simulate, all suspects stay.
@@ -343,10 +343,12 @@ def _angles_in_degrees(regressions: dict[str, RegressionFit], reference: Referen
     )
 
 
-def sign_suspects(regressions: dict[str, RegressionFit]) -> list[WrongSign]:
+def sign_suspects(
+    regressions: dict[str, RegressionFit], decisive_nats: float = DECISIVE_NATS
+) -> list[WrongSign]:
     """Name the fewest changes of sign after which all axes follow their causes."""
     contradicts_cause = {
-        axis: regressions[axis].gain < 0.0 and regressions[axis].log_likelihood_ratio > DECISIVE_NATS
+        axis: regressions[axis].gain < 0.0 and regressions[axis].log_likelihood_ratio > decisive_nats
         for axis in AXES
     }
     suspects = []
