@@ -346,6 +346,17 @@ def test_a_link_that_freezes_is_left_out_although_no_angle_jumps(tmp_path: Path)
     assert actions(converted(tmp_path, lines(T_S, settled))) == set()
 
 
+def test_a_rest_after_the_jump_of_a_failed_link_is_none_of_it(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    values[400:640, 4] = values[400, 4]
+    # Elevation and travel happen to rest for 0.4 s when the link works again.
+    for angle in (2, 4):
+        values[640:680, angle] = values[640, angle]
+        values[680:, angle] += values[640, angle] - values[680, angle]
+    (change,) = converted(tmp_path, lines(T_S, values)).changes
+    assert "(4.000 to 6.390 s)" in change.reason
+
+
 def test_zeros_of_a_plug_that_falls_off_before_the_end_are_left_out(tmp_path: Path) -> None:
     values = VALUES[:440].copy()
     values[400:, 2:] = 0.0

@@ -328,6 +328,7 @@ def _standing(rows: _Rows) -> Booleans:
     aloft_rad, sums_V = lowest_rad + np.radians(_ALOFT_DEG), np.abs(volts.sum(axis=1))
     hover_V = float(np.median(sums_V))
     moving_rad = _MOVING_SHARE * _STAND_S * step_rad.sum(axis=0) / max(float(np.ptp(t_s)), _STAND_S)
+    rests_s = np.column_stack([_rests_s(t_s, values) for values in angles.T])
     for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2], [0], [1], [2]):
         shortest_s = _STAND_S if len(axes) > 1 else _ONE_STAND_S
         runs = np.array(equal_runs(t_s, angles[:, axes]), int).reshape(-1, 2)
@@ -350,9 +351,14 @@ def _standing(rows: _Rows) -> Booleans:
                 _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), typical_steps * typical_rad
             )
             # The jump at the end of such a part says nothing of the rows beyond it.
+            ends = (start - 1, start, entry), (stop - 1, stop - 1, min(stop, t_s.size - 1))
+            jumps = [(step_rad[row : row + 1] > usual_rad)[:, axes] for row, _, _ in ends]
+            # Of two parts beside a jump, the longer one is that of the failed link.
+            is_longer = [rests_s[row, axes] >= rests_s[beyond, axes] for _, row, beyond in ends]
+            has_both = all(jump.any() for jump in jumps)
             enters, leaves = (
-                bool((step_rad[row : row + 1] > usual_rad)[:, axes].any()) and not result[beyond]
-                for row, beyond in ((start - 1, entry), (stop - 1, min(stop, t_s.size - 1)))
+                bool((jump & (longer | has_both)).any()) and not result[beyond]
+                for jump, longer, (_, _, beyond) in zip(jumps, is_longer, ends, strict=True)
             )
             if not is_driven:
                 if enters and leaves:
@@ -371,6 +377,16 @@ def _standing(rows: _Rows) -> Booleans:
             if enters or leaves or is_last:
                 result[start + (not enters) : stop] = True
     return result | _frozen(t_s, angles, volts)
+
+
+def _rests_s(t_s: Floats, values: Floats) -> Floats:
+    """Return, for each row, how long its value stays the same around it [s]. Shapes: `t_s` (n,), `values`
+    (n,); returns (n,).
+    """
+    result = np.zeros(t_s.size)
+    for start, stop in equal_runs(t_s, values[:, None]):
+        result[start:stop] = t_s[stop - 1] - t_s[start]
+    return result
 
 
 def _frozen(t_s: Floats, angles: Floats, volts: Floats) -> Booleans:
