@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
-import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -47,9 +46,8 @@ _RUNTIME: Final = (
     *("_LIBUNWIND_HIDE_SYMBOLS", "_LIBUNWIND_HAS_NO_THREADS"),
 )
 """Macros for these parts."""
-_CONSTANT: Final = re.compile(r"^constexpr [\w:]+ (k\w+)", re.MULTILINE)
-"""Definition of a constant in a source."""
-_HEADER: Final = re.compile(r'^#include ".+"', re.MULTILINE)
+_ALONE: Final = "sim/due/chip"
+"""Folder of sources that define the same names of registers; other folders are compiled in one piece."""
 _TAG: Final = ".globl __cpp_exception\n.tagtype __cpp_exception i32\n__cpp_exception:\n"
 
 
@@ -91,7 +89,11 @@ def _compile(output: Path, root: Path, library: Path) -> None:
     # Each source reads the same headers, which takes most of the time.
     folders = defaultdict(list)
     for source in sources(root):
-        folders[source.parent.relative_to(root).as_posix().replace("/", "_")].append(source)
+        folder = source.parent.relative_to(root).as_posix()
+        if folder == _ALONE:
+            jobs.append((source, board))
+        else:
+            folders[folder.replace("/", "_")].append(source)
     jobs += [(_together(output, name, files), board) for name, files in folders.items()]
     objects = [str(output.with_name(f"{number}.o")) for number in range(len(jobs))]
 
@@ -109,21 +111,8 @@ def _compile(output: Path, root: Path, library: Path) -> None:
 
 def _together(output: Path, name: str, files: Sequence[Path]) -> Path:
     """Write a source that includes others."""
-    headers: set[str] = set()
-    lines: list[str] = []
-    for number, file in enumerate(files):
-        text = file.read_text(encoding="utf-8")
-        # Other sources of the folder define constants with the same names, such as those of registers.
-        constants = dict.fromkeys(_CONSTANT.findall(text))
-        if constants:
-            headers.update(_HEADER.findall(text))
-        lines += [f"#define {constant} {constant}_{number}" for constant in constants]
-        lines.append(f'#include "{file.as_posix()}"')
-        lines += [f"#undef {constant}" for constant in constants]
-    # No constant of a header gets another name.
-    lines = sorted(headers) + lines
     source = output.with_name(f"{name}.cpp")
-    source.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    source.write_text("".join(f'#include "{file.as_posix()}"\n' for file in files), encoding="utf-8")
     return source
 
 
