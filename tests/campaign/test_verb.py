@@ -18,7 +18,7 @@ import pytest
 from heli_lab.apps.campaign import Store
 
 from tests.campaign.killer import CODE, Cluster, cases, children, gate_of, kill_all, start_program, wait_until
-from tests.cli.terminal import Terminal, terminal
+from tests.cli.terminal import Terminal
 from tests.running.long import samples
 
 pytestmark = pytest.mark.slow

@@ -26,7 +26,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from tests.cli.terminal import Terminal, refusal, terminal
+from tests.cli.terminal import Terminal, refusal
 from tests.log.made import make_samples, open_writer, write_made_log
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -25,7 +25,7 @@ from heli_sim.rig import load_rig, write_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.cli.terminal import Terminal, terminal
+from tests.cli.terminal import Terminal
 from tests.pool.coverage import BY_FLIGHTS, FLIGHTS, normalised_errors, shares_of_one
 from tests.running.long import samples
 

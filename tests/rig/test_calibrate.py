@@ -27,7 +27,7 @@ from heli_sim.rig import load_rig, write_rig
 from heli_sim.sil.faults import FaultPlan, Span
 from heli_sim.sil.world import SilWorld
 
-from tests.cli.terminal import Terminal, refusal, terminal
+from tests.cli.terminal import Terminal, refusal
 from tests.rig.miswired import (
     ALL,
     DEAD_ZONE_V,

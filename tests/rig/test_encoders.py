@@ -28,7 +28,7 @@ from heli_sim.rig.rig import counts_per_turn, direction_is_known, directions
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.transport import SilProcess
 
-from tests.cli.terminal import Terminal, terminal
+from tests.cli.terminal import Terminal
 from tests.identify.made import flown, thinned
 
 __all__ = ["terminal"]

@@ -19,7 +19,7 @@ from heli_test_native import plant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.cli.terminal import Terminal, refusal, terminal
+from tests.cli.terminal import Terminal, refusal
 
 __all__ = [
     "terminal",

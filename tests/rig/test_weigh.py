@@ -13,7 +13,7 @@ from heli_sim.bench import TEMPLATE, bench_tests_from, weigh
 from heli_sim.errors import RigError
 from heli_sim.rig import Rig, load_rig
 
-from tests.cli.terminal import Terminal, refusal, terminal
+from tests.cli.terminal import Terminal, refusal
 
 __all__ = ["terminal"]
 
