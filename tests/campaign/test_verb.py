@@ -23,7 +23,6 @@ from tests.running.long import samples
 
 pytestmark = pytest.mark.slow
 
-__all__ = ["terminal"]
 
 SQUARES = """
 title = "Squares & <roots>"

@@ -187,11 +187,6 @@ def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path, ros2_flight: 
         export_ros2(ros2_flight, tmp_path / "missing" / "a.mcap")
 
 
-__all__ = [
-    "terminal",
-]
-
-
 @pytest.fixture
 def flight(tmp_path: Path) -> Flight:
     write_made_log(tmp_path / "a.mcap", 3000)

@@ -43,7 +43,6 @@ from tests.rig.miswired import (
     wires_found,
 )
 
-__all__ = ["terminal"]
 
 pytestmark = pytest.mark.medium
 

@@ -15,8 +15,6 @@ from heli_sim.rig import Rig, load_rig
 
 from tests.cli.terminal import Terminal, refusal
 
-__all__ = ["terminal"]
-
 
 pytestmark = pytest.mark.medium
 
