@@ -122,16 +122,16 @@ def test_a_disk_that_fills_during_a_check_is_the_reason_of_the_end() -> None:
         """A recorder that fails at the moment at which the monitor looks whether it has failed."""
 
         def __init__(self) -> None:
-            self.failed: LogWriteError | None = None
+            self.write_error: LogWriteError | None = None
 
         @property
         def error(self) -> LogWriteError | None:
-            self.failed = LogWriteError("cannot write the log: it is full", "make room")
-            return self.failed
+            self.write_error = LogWriteError("cannot write the log: it is full", "make room")
+            return self.write_error
 
         def check(self) -> None:
-            if self.failed is not None:
-                raise self.failed
+            if self.write_error is not None:
+                raise self.write_error
 
     session = SimpleNamespace(state=State.CLOSED_LOOP, counters=SimpleNamespace(restarts=0, reconnects=0))
     heli: Any = SimpleNamespace(session=session)

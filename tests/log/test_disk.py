@@ -183,7 +183,7 @@ def test_a_full_disk_is_reported_at_the_next_call_and_leaves_whole_chunks(
     with pytest.raises(LogWriteError, match="No space left on device; free some disk space"):
         write_all(writer, tick, raw)
         writer.close()
-    assert writer.failed is not None
+    assert writer.write_error is not None
     with pytest.raises(LogWriteError):
         writer.write_ticks(tick, raw)
     log = read_log(tmp_path / "a.mcap")
@@ -288,9 +288,9 @@ def test_a_limit_of_size_ends_a_flight_while_its_landing_fits(
     writer = open_log(tmp_path / "a.mcap", background=False)
     tick, raw = make_samples(6000)
     write_all(writer, tick[:1000], raw[:1000])
-    assert writer.nearly_full is None
+    assert writer.space_error is None
     write_all(writer, tick[1000:], raw[1000:])
-    assert "almost the size that a file may have here" in str(writer.nearly_full)
+    assert "almost the size that a file may have here" in str(writer.space_error)
     writer.close()
     assert read_log(tmp_path / "a.mcap").complete
 

@@ -271,7 +271,8 @@ class Recorder:
         except LogError as error:
             self.error = self.error or error
         else:
-            self.error = self.error or self._writer.nearly_full
+            # Little space is an error too, while the log can still be completed.
+            self.error = self.error or self._writer.space_error
 
     @staticmethod
     def _session_record(heli: Heli, rig_name: str, plans: Sequence[Plan], board_name: str) -> dict[str, str]:

@@ -138,7 +138,7 @@ class Driver:
         self._changed = threading.Condition(self.lock)
         self.read_interval_s = READ_INTERVAL_S
         self.handshake_deadline_s = 0.0
-        self.fatal: HeliError | None = None
+        self.fatal_error: HeliError | None = None
         self._reconnect_timeout_s = reconnect_timeout_s
         self._engine = engine
         self._subscribers = subscribers
@@ -168,7 +168,7 @@ class Driver:
 
     def check(self) -> None:
         """Raise the error of a failed callback, or the reason why the session has ended, if there is any."""
-        error = self._subscribers.take_error() or self.fatal
+        error = self._subscribers.take_error() or self.fatal_error
         if error is not None:
             raise error
 
@@ -235,7 +235,7 @@ class Driver:
     def _read_until_closed(self) -> None:
         """Read and send until the end, in a thread of its own."""
         try:
-            while not self._stop.is_set() and self.fatal is None:
+            while not self._stop.is_set() and self.fatal_error is None:
                 self.pump(READ_TIMEOUT_S)
         # A thread that dies in silence would leave its user waiting for ever.
         except Exception as error:  # noqa: BLE001
@@ -282,8 +282,8 @@ class Driver:
     def _end_with_error(self, error: HeliError) -> None:
         """End the session with an error, and wake all threads that wait."""
         with self.lock:
-            if self.fatal is None:
-                self.fatal = error
+            if self.fatal_error is None:
+                self.fatal_error = error
             self._changed.notify_all()
 
 
@@ -351,7 +351,7 @@ class Session:
     @property
     def connected(self) -> bool:
         """Whether the board answers at present."""
-        return self._engine.handshake.is_open and self._driver.fatal is None
+        return self._engine.handshake.is_open and self._driver.fatal_error is None
 
     @property
     def counters(self) -> LinkCounters:

@@ -45,12 +45,12 @@ class LogFile(Protocol):
     """Interface of the file that a log is written to."""
 
     @property
-    def failed(self) -> LogWriteError | None:
+    def write_error(self) -> LogWriteError | None:
         """Error that ended the writing; the file then ends with a whole record. None if there is none."""
         ...
 
     @property
-    def nearly_full(self) -> LogWriteError | None:
+    def space_error(self) -> LogWriteError | None:
         """Error that is set when the disk has at most `RESERVED_BYTES` left; writing continues."""
         ...
 
@@ -84,8 +84,8 @@ class DirectFile:
     """A log's file that `append` writes directly, without a thread."""
 
     def __init__(self, path: Path, last_record: LastRecord | None = None, *, overwrite: bool = False) -> None:
-        self.failed: LogWriteError | None = None
-        self.nearly_full: LogWriteError | None = None
+        self.write_error: LogWriteError | None = None
+        self.space_error: LogWriteError | None = None
         self._path = path
         self._last_record = last_record
         self._file = _create_file(path, overwrite)
@@ -98,8 +98,8 @@ class DirectFile:
 
     def append(self, data: bytes) -> None:
         """Write whole records; after a failure, the file ends with the last complete record."""
-        if self.failed is not None:
-            raise self.failed
+        if self.write_error is not None:
+            raise self.write_error
         view = memoryview(data)
         try:
             while view:
@@ -107,17 +107,17 @@ class DirectFile:
         except OSError as error:
             raise self._note_failure(error) from error
         self._bytes_written += len(data)
-        if self.nearly_full is not None:
+        if self.space_error is not None:
             return
         free = free_bytes(self._path.parent)
         if free is not None and free < RESERVED_BYTES:
-            self.nearly_full = LogWriteError(
+            self.space_error = LogWriteError(
                 f"the disk of the log {self._path} is almost full, {_megabytes_text(free)} are left",
                 "free some disk space",
             )
         max_bytes = max_file_bytes()
         if max_bytes is not None and max_bytes - self._bytes_written < RESERVED_BYTES:
-            self.nearly_full = LogWriteError(
+            self.space_error = LogWriteError(
                 f"the log {self._path} has almost the size that a file may have here, "
                 f"{_megabytes_text(max_bytes)}",
                 "raise the limit (ulimit -f), or fly for a shorter time",
@@ -151,11 +151,13 @@ class DirectFile:
             remedy = f"free some disk space; {remedy}"
         elif error.errno == errno.EFBIG:
             remedy = f"raise the limit of a file's size (ulimit -f); {remedy}"
-        self.failed = LogWriteError(f"cannot write the log {self._path}: {error.strerror or error}", remedy)
+        self.write_error = LogWriteError(
+            f"cannot write the log {self._path}: {error.strerror or error}", remedy
+        )
         with contextlib.suppress(OSError):
             self._file.truncate(self._bytes_written)
             self._write_reason(error.strerror or str(error))
-        return self.failed
+        return self.write_error
 
     def _write_reason(self, reason: str) -> None:
         """Write a record with the reason why the log ends, if there is room for the whole record."""
@@ -196,14 +198,14 @@ class BackgroundFile:
         self._thread.start()
 
     @property
-    def failed(self) -> LogWriteError | None:
+    def write_error(self) -> LogWriteError | None:
         """Error that ended the writing; None if there is none."""
-        return self._failure or self._file.failed
+        return self._failure or self._file.write_error
 
     @property
-    def nearly_full(self) -> LogWriteError | None:
+    def space_error(self) -> LogWriteError | None:
         """Error that is set when the disk has little space left."""
-        return self._file.nearly_full
+        return self._file.space_error
 
     @property
     def has_room(self) -> bool:
@@ -212,8 +214,8 @@ class BackgroundFile:
 
     def append(self, data: bytes) -> None:
         """Queue whole records for the thread, without waiting for the disk."""
-        if self.failed is not None:
-            raise self.failed
+        if self.write_error is not None:
+            raise self.write_error
         with self._changed:
             self._queue.append(data)
             self._queued_bytes += len(data)
@@ -239,7 +241,7 @@ class BackgroundFile:
     def _wait_while(self, busy: Callable[[], bool]) -> None:
         """Wait while the disk is `busy`, but give up if it accepts no byte for a long time."""
         queued_before, last_progress_s = self._queued_bytes, self._now_s()
-        while busy() and self.failed is None:
+        while busy() and self.write_error is None:
             with self._changed:
                 self._changed.wait(_LOOK_S)
             if self._queued_bytes != queued_before:
@@ -249,8 +251,8 @@ class BackgroundFile:
                     f"the disk of the log {self._path} has accepted no data for {_CLOSE_TIMEOUT_S:g} s",
                     "find out what blocks the disk; the log is readable up to that moment",
                 )
-        if self.failed is not None:
-            raise self.failed
+        if self.write_error is not None:
+            raise self.write_error
 
     def _write_until_closed(self) -> None:
         """Write queued records until the file is closed or fails; any error of this thread is reported."""

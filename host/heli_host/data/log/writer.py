@@ -426,14 +426,14 @@ class LogWriter:
             raise
 
     @property
-    def failed(self) -> LogWriteError | None:
+    def write_error(self) -> LogWriteError | None:
         """Error that ended the writing, because the disk is full or gone; None if there is none."""
-        return self._file.failed
+        return self._file.write_error
 
     @property
-    def nearly_full(self) -> LogWriteError | None:
+    def space_error(self) -> LogWriteError | None:
         """Error that is set when the disk has just enough space left to land; writing continues."""
-        return self._file.nearly_full
+        return self._file.space_error
 
     @property
     def counters(self) -> LogCounters:
@@ -447,8 +447,8 @@ class LogWriter:
         if tick.size == 0:
             return
         with self._lock:
-            if self.failed is not None:
-                raise self.failed
+            if self.write_error is not None:
+                raise self.write_error
             start = 0
             while start < tick.size:
                 stop = min(tick.size, start + CHUNK_TICKS - self._pending_ticks)
