@@ -211,9 +211,9 @@ def run_controller(
         raise ControllerError(f"a control law cannot run at {rate_Hz:g} Hz", f"give at most {most_Hz:g} Hz")
     session, params = heli.session, heli.params
     batch_ticks, read_interval_s = params["telemetry_batch_ticks"], session.read_interval_s
-    acted: list[Ticks] = []
+    telemetry: list[Ticks] = []
     run = _Run(period_ticks, round(duration_s / TICK_S), valid_s)
-    unsubscribe = session.subscribe_ticks(acted.append)
+    unsubscribe = session.subscribe_ticks(telemetry.append)
     try:
         params["telemetry_batch_ticks"] = min(period_ticks, _MAX_BATCH_TICKS)
         session.read_interval_s = _READ_INTERVAL_S
@@ -231,7 +231,7 @@ def run_controller(
     if after == "hold":
         heli.control()
     _end_law(heli, after)
-    return _summary_of_run(run, session.ticks_counted_on, acted)
+    return _summary_of_run(run, telemetry, session.ticks_counted_on)
 
 
 def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
@@ -297,20 +297,22 @@ def _checked_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:
 
 
 def _summary_of_run(
-    run: _Run, counted_on: Callable[[Ticks], npt.NDArray[np.int64]], acted: list[Ticks]
+    run: _Run, telemetry: list[Ticks], unwrapped_ticks: Callable[[Ticks], npt.NDArray[np.int64]]
 ) -> ControllerReport:
-    """Summarise a run: calls, misses, and percentiles of latency and of the law's computing time. `acted` has
-    the telemetry with the voltages that acted, `counted_on` its ticks without wrap-around.
+    """Summarise a run: calls, misses, and percentiles of latency and of the law's computing time.
+
+    `telemetry` has the voltages that acted during the run, and `unwrapped_ticks` returns its ticks without
+    overflow.
     """
     latency_ms = np.array([math.nan])
-    count = 0
-    if acted and run.tick:
-        tick = np.concatenate([counted_on(ticks) for ticks in acted])
-        raw = np.concatenate([ticks.raw for ticks in acted])
-        volts = np.column_stack([physical(raw, motor) for motor in (Channel.FRONT, Channel.BACK)])
-        latencies_ticks = _latencies_ticks(run, tick, volts)
-        count = len(latencies_ticks)
-        if count:
+    latency_count = 0
+    if telemetry and run.tick:
+        tick = np.concatenate([unwrapped_ticks(ticks) for ticks in telemetry])
+        raw = np.concatenate([ticks.raw for ticks in telemetry])
+        acting_V = np.column_stack([physical(raw, motor) for motor in (Channel.FRONT, Channel.BACK)])
+        latencies_ticks = _latencies_ticks(run, tick, acting_V)
+        latency_count = len(latencies_ticks)
+        if latency_count:
             latency_ms = latencies_ticks * (TICK_S * 1e3)
     law_ms = np.array(run.law_s or [math.nan]) * 1e3
     span_s = (run.tick[-1] - run.tick[0]) * TICK_S if len(run.tick) > 1 else 0.0
@@ -325,7 +327,7 @@ def _summary_of_run(
         latency_p50_ms=latency_percentiles_ms[0],
         latency_p95_ms=latency_percentiles_ms[1],
         latency_max_ms=latency_percentiles_ms[2],
-        latency_count=count,
+        latency_count=latency_count,
         law_p50_ms=law_percentiles_ms[0],
         law_p95_ms=law_percentiles_ms[1],
         law_max_ms=law_percentiles_ms[2],
@@ -408,6 +410,12 @@ def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
     return (Takeover(message.detail).name.lower() if known else f"reason {message.detail}"), message.value
 
 
+def _newest_takeover(heli: Vehicle) -> tuple[str, float] | None:
+    """Return reason and value of the newest takeover by the board; None if no event reported any."""
+    reasons = [text for event in heli.session.events if (text := takeover_text(event))]
+    return reasons[-1] if reasons else None
+
+
 def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] | None = None) -> int:
     """Start a law on the board from the next tick on; the board must hover under its own law."""
     upload(heli.session, program)
@@ -420,7 +428,7 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
     for name, value in (parameters or {}).items():
         set_parameter(heli.session, program, name, value)
     start = heli.latest.tick
-    heli.session.command(LawFlyMessage(UNNUMBERED, 1))
+    heli.session.command(LawFlyMessage(UNNUMBERED, on=1))
     law_ticks: list[int] = []
 
     def has_engaged(sample: Sample) -> bool:
@@ -430,8 +438,8 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
 
     heli.wait_until(has_engaged, _ENGAGED_TIMEOUT_S)
     if not law_ticks:
-        reasons = [text for event in heli.session.events if (text := takeover_text(event))]
-        reason = f": {reasons[-1][0]} ({reasons[-1][1]:.4g})" if reasons else ""
+        takeover = _newest_takeover(heli)
+        reason = f": {takeover[0]} ({takeover[1]:.4g})" if takeover else ""
         raise FlightAborted(
             f"control law {program.name} was taken over immediately{reason}",
             "simulate it first with heli-host law check",
@@ -449,21 +457,21 @@ def fly_law(
 ) -> LawReport:
     """Fly a law on the board for a while."""
     check_choice("after", after, AFTER_LAW)
-    first = engage(heli, program, parameters)
-    end = first + round(duration_s * 1000.0)
+    first_tick = engage(heli, program, parameters)
+    end_tick = first_tick + round(duration_s * 1000.0)
 
-    def over(sample: Sample) -> bool:
-        return sample.tick >= end or not sample.flags & Flags.LAW
+    def has_ended(sample: Sample) -> bool:
+        return sample.tick >= end_tick or not sample.flags & Flags.LAW
 
-    last = heli.wait_until(over, duration_s + 10.0)
-    report = LawReport(program.name, program.hash, (last.tick - first) * 1e-3)
-    if not last.flags & Flags.LAW:
-        heli.wait(0.1)
-        reasons = [text for event in heli.session.events if (text := takeover_text(event))]
-        reason, value = reasons[-1] if reasons else ("unknown", 0.0)
-        report = LawReport(program.name, program.hash, report.flown_s, reason, value)
+    last = heli.wait_until(has_ended, duration_s + 10.0)
+    reason, value = "", 0.0
+    if last.flags & Flags.LAW:
+        heli.session.command(LawFlyMessage(UNNUMBERED, on=0))
     else:
-        heli.session.command(LawFlyMessage(UNNUMBERED, 0))
+        # The board took over. Telemetry shows this slightly before the event with the reason arrives.
+        heli.wait(0.1)
+        reason, value = _newest_takeover(heli) or ("unknown", 0.0)
+    report = LawReport(program.name, program.hash, (last.tick - first_tick) * 1e-3, reason, value)
     if heli.latest.state is State.FAULT:
         raise FlightAborted(f"the board switched the motors off: {fault_text(heli.latest.fault)}")
     _end_law(heli, after)

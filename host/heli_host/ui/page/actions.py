@@ -234,7 +234,7 @@ class LawChoice:
         state = self._heli.state
         if not name:
             if self._is_law_flying:
-                self._heli.session.command(LawFlyMessage(UNNUMBERED, 0))
+                self._heli.session.command(LawFlyMessage(UNNUMBERED, on=0))
         elif state is State.IDLE:
             self._heli.load_law(self._laws[name])
         elif state is State.CLOSED_LOOP:
