@@ -50,7 +50,7 @@ class Parameters(Mapping[str, float]):
 
     def __init__(self, session: Session) -> None:
         self._session = session
-        self.revision = 0
+        self.revision = 0  # Grows with each change, so that copies of the values notice it
         self._values: list[float] = []
         self._stale = True
         session.subscribe_events(self._take_event)
@@ -96,6 +96,7 @@ class Parameters(Mapping[str, float]):
                 ) from error
             raise
         in_force = shortest_decimal(ack.value)
+        # While stale, nothing is kept: the next read asks the board for all values, with this one.
         if not self._stale:
             self._values[spec.index] = in_force
             self.revision += 1

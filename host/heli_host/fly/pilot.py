@@ -247,11 +247,11 @@ class RouteStream:
         self._lock = threading.Lock()
         self._streaming = False
         self._sent_tick = 0
-        self._coming_ends = list(route.pieces)
-        self._coming_phases = _first_piece_of_phases(route)
+        self._unended_pieces = list(route.pieces)
+        self._phases_ahead = _first_piece_of_phases(route)
         # The take-off lasts until the first phase of another name begins.
         take_off_s = next(
-            (piece.start_s for piece in self._coming_phases if piece.phase != TAKE_OFF),
+            (piece.start_s for piece in self._phases_ahead if piece.phase != TAKE_OFF),
             route.duration_s,
         )
         self._take_off_ticks = round(take_off_s / TICK_S)
@@ -303,13 +303,13 @@ class RouteStream:
             if not self._streaming:
                 return
             self._tracking.take(ticks, self.taken_off_tick)
-            while self._coming_ends and tick >= self._end_tick_of(self._coming_ends[0]):
-                ended_piece = self._coming_ends.pop(0)
-                self._tracking.take_end(
-                    ticks, self._end_tick_of(ended_piece), ended_piece, not self._coming_ends
-                )
-            while self._coming_phases and tick >= self.tick_of(self._coming_phases[0]):
-                begun_piece = self._coming_phases.pop(0)
+            while self._unended_pieces and tick >= self._end_tick_of(self._unended_pieces[0]):
+                ended_piece = self._unended_pieces.pop(0)
+                end_tick = self._end_tick_of(ended_piece)
+                is_last = not self._unended_pieces
+                self._tracking.take_end(ticks, end_tick, ended_piece, is_last)
+            while self._phases_ahead and tick >= self.tick_of(self._phases_ahead[0]):
+                begun_piece = self._phases_ahead.pop(0)
                 self._recorder.mark_phase(self.tick_of(begun_piece), begun_piece.phase)
             if tick >= self._sent_tick + INTERVAL_TICKS:
                 self._send_setpoint_due_after(tick)

@@ -154,6 +154,7 @@ class _PageServer(uvicorn.Server):
         if is_full or self._loop is None or self._loop.is_closed():
             return False
 
+        # Until the event loop has made the connection, the server does not count it, so it is counted here.
         def has_arrived() -> None:
             self._arriving.discard(connection)
 
@@ -164,6 +165,7 @@ class _PageServer(uvicorn.Server):
         future = asyncio.run_coroutine_threadsafe(
             self._loop.connect_accepted_socket(protocol, connection), self._loop
         )
+        # A connection that fails never becomes one of the server's.
         future.add_done_callback(lambda _: has_arrived())
         return True
 
