@@ -190,10 +190,16 @@ _LAG_STEP_s: Final = 1e-4
 """Step of the numerical derivative by the lag [s]."""
 _DEAD_ENCODER: Final = re.compile(rf"({'|'.join(AXES)})_motionless")
 """Name of a fault of the board whose cause is an encoder that does not count."""
+LOG_SCALES: Final = slice(0, 3)
 VOLTAGE_FACTOR: Final = 3
-"""Number of the unknown factor on the voltages, after the three scales."""
+_LAG: Final = 4
+_ZEROS: Final = slice(5, 7)
+_PARAMETERS: Final = slice(7, None)
+"""Places in the vector of unknowns: logarithms of the three scales and of the factor on the voltages, the lag
+of the thrust, and the zeros of the elevation and the pitch encoder. The parameters of the rig and of effects
+follow, and a constant torque about each axis."""
 SCALES_AND_FACTOR: Final = 4
-"""Number of unknowns that are free only on request: three scales and the factor on the voltages."""
+"""Count of unknowns that are free only on request: three scales and the factor on the voltages."""
 
 
 class _Prior(NamedTuple):
@@ -219,10 +225,6 @@ class _ActingVoltages(NamedTuple):
 
 class FlightInWeakForm:
     """Residuals of a rig's equations of motion along a flight, in weak form."""
-
-    # The first unknowns are the logarithms of three scales and of a factor on the voltages, the lag of the
-    # thrust, and the zeros of the elevation and the pitch encoder. Parameters of the rig and of effects
-    # follow, and a constant torque about each axis.
 
     def __init__(self, flight: Flight, rig: Rig, model: Model) -> None:
         self._rig = rig
@@ -288,17 +290,18 @@ class FlightInWeakForm:
         """Compute measured minus predicted mean accelerations, and their derivatives by the `unknowns`.
         Returns shape `residuals` (k,), `jacobians` (k, unknowns).
         """
-        scales = np.exp(unknowns[:3])
+        scales = np.exp(unknowns[LOG_SCALES])
         residuals: list[list[Floats]] = [[], [], []]
         jacobians: list[list[Floats]] = [[], [], []]
         for part, test, measured in zip(self._parts, self._tests, self._measured, strict=True):
-            true = self._true_accelerations(part, unknowns)
+            accelerations = self._true_accelerations(part, unknowns)
             for axis in range(3):
-                predicted = test.mean(axis, true.values[:, axis])
-                residuals[axis].append(measured[axis] - scales[axis] * predicted)
-                jacobian = -scales[axis] * test.mean(axis, true.derivatives[:, axis])
-                # The scale is also a factor, and the derivative of it by its logarithm is the scale itself.
-                jacobian[:, axis] -= scales[axis] * predicted
+                # The encoder shows the true acceleration times its scale.
+                predicted = scales[axis] * test.mean(axis, accelerations.values[:, axis])
+                residuals[axis].append(measured[axis] - predicted)
+                jacobian = -scales[axis] * test.mean(axis, accelerations.derivatives[:, axis])
+                # The unknown is the logarithm of the scale: by it, the product has itself as derivative.
+                jacobian[:, axis] -= predicted
                 jacobians[axis].append(jacobian)
         return (
             [np.concatenate(of_parts) for of_parts in residuals],
@@ -307,15 +310,14 @@ class FlightInWeakForm:
 
     def _true_accelerations(self, part: Part, unknowns: Floats) -> _Accelerations:
         """Compute the true accelerations by the equations of motion at every row of a part."""
-        scales = np.exp(unknowns[:VOLTAGE_FACTOR])
-        first_zero = SCALES_AND_FACTOR + 1
-        zeros_rad = np.array([*unknowns[first_zero : first_zero + 2], 0.0])
+        scales = np.exp(unknowns[LOG_SCALES])
+        zeros_rad = np.array([*unknowns[_ZEROS], 0.0])
         parameters = self._parameters.copy()
-        parameters[self._places] = unknowns[first_zero + 2 :]
+        parameters[self._places] = unknowns[_PARAMETERS]
         # True angles, relative to those at which the encoders were zeroed, and true rates.
         deflections = (part.angles_rad - self._pivot - zeros_rad) / scales
         rates = part.rates_rad_s / scales
-        voltages = self._acting_voltages(part, unknowns[VOLTAGE_FACTOR], unknowns[SCALES_AND_FACTOR])
+        voltages = self._acting_voltages(part, unknowns[VOLTAGE_FACTOR], unknowns[_LAG])
         states = np.hstack((self._pivot + deflections, rates))
         trajectory = Trajectory(part.t_s, states, voltages.values, part.step_s, parameters)
         # Shapes (n, states, 1 + parameters), (n, states, states) and (n, states, 2).

@@ -109,9 +109,11 @@ def cross_entropy(
 
 
 def _policy_of_gains(weights: Floats) -> LinearPolicy:
-    """Build a policy from six gains."""
-    # Observation: angles 0 to 2, rates 3 to 5, last action 6 and 7.
+    """Build a policy from six gains: of angle and rate, for elevation, pitch and travel in this order."""
+    # Observation: angles of the three axes 0 to 2, their rates 3 to 5, last action 6 and 7.
     collective, differential = np.zeros(8), np.zeros(8)
     collective[[0, 3]] = weights[:2]
-    differential[[1, 4, 2, 5]] = weights[2:]
+    differential[[1, 4]] = weights[2:4]
+    differential[[2, 5]] = weights[4:]
+    # Action: front and back.
     return LinearPolicy(np.vstack((collective + differential, collective - differential)))
