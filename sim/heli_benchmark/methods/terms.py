@@ -227,19 +227,22 @@ class ResidualRegression:
 
     def _fit_all(self, terms: Sequence[Term]) -> RegressionFit:
         """Fit as `fit`; the coefficients of the nuisance parameters come first."""
-        columns = [self.nuisance, *(term.columns for term in terms)]
-        design = np.column_stack(columns)
-        n, m = len(self.target), self.nuisance.shape[1]
-        # Priors of the nuisance parameters are further rows: standard deviation 1.
-        prior = np.eye(m, design.shape[1])
-        normal = design.T @ design + prior.T @ prior
-        inverse = np.linalg.pinv(normal)
-        solution = inverse @ (design.T @ self.target)
-        residual = self.target - design @ solution
-        squares = float(residual @ residual + solution[:m] @ solution[:m])
-        count = design.shape[1] - m
-        stds = np.sqrt(np.diag(inverse) * squares / n)
-        return RegressionFit(n * np.log(squares / n) + count * np.log(n), solution, stds)
+        design = np.column_stack([self.nuisance, *(term.columns for term in terms)])
+        n, nuisance_count = len(self.target), self.nuisance.shape[1]
+        term_column_count = design.shape[1] - nuisance_count
+        # The prior of a nuisance parameter, mean 0 and standard deviation 1, is one more row with target 0.
+        prior_rows = np.eye(nuisance_count, design.shape[1])
+        inverse = np.linalg.pinv(design.T @ design + prior_rows.T @ prior_rows)
+        coefficients = inverse @ (design.T @ self.target)
+        residual = self.target - design @ coefficients
+        prior_residual = coefficients[:nuisance_count]
+        squares = float(residual @ residual + prior_residual @ prior_residual)
+        return RegressionFit(
+            # Nuisance parameters are in every fit, so they add nothing to the difference of two fits.
+            bic=n * np.log(squares / n) + term_column_count * np.log(n),
+            coefficients=coefficients,
+            stds=np.sqrt(np.diag(inverse) * squares / n),
+        )
 
 
 def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> ResidualRegression:
