@@ -56,12 +56,9 @@ _TEXT_CLOCKS: Final = {
     "thousands": 0.1,
     "german date": 0.1,
 }
+_LINE_FAULTS: Final = ("truncated lines", "merged lines", "garbage", "repeated header", "error cells")
 _ROW_FAULTS: Final = (
-    "truncated lines",
-    "merged lines",
-    "garbage",
-    "repeated header",
-    "error cells",
+    *_LINE_FAULTS,
     "duplicated rows",
     "swapped rows",
     "lost rows",
@@ -69,6 +66,8 @@ _ROW_FAULTS: Final = (
     "stalled values",
     "reversed",
 )
+_FAULTS_OF_THE_FILE: Final = (*_LINE_FAULTS, "duplicated rows", "swapped rows", "reversed")
+"""Faults that are applied when the table is written; all others are in its numbers already."""
 _DROPPED: Final = (
     r"damag|merged|incomplete|unreadable|broken"
     r"|(row|line|cell)s?\b[^.;\n]*\b(dropped|skipped|left out|ignored|omitted|not numbers)"
@@ -92,6 +91,10 @@ _REPORTS: Final = {
     "two rates": r"blank|empty|held|hold|slower|two rates|last value|fill",
 }
 """Pattern of the words with which an import must report each repair. They are wide: any word will do."""
+
+
+_REFUSALS: Final = {"voltages": r"volt|motor", "two angles": r"travel|pitch|elevation|two angles|angle"}
+"""Pattern of the reason for which an import must refuse a file without voltages, or with two angles only."""
 
 
 class _Random:
@@ -147,15 +150,11 @@ class _Drawing:
 
     def case(self, seed: int, number: int) -> LogCase:
         random = self.random
+        # Each draw takes the next random numbers, so another order would change all cases of a seed.
         container = random.weighted(_CONTAINERS)
-        style = self._style(container)
-        words = VOCABULARIES[style]
-        self.unit_style = random.choice(("none", "none", "brackets", "parentheses", "tail", "row", "slash"))
-        if style == "none" or container in ("mcap", "ros2"):
-            self.unit_style = "none"
-        if self.unit_style == "row" and container not in (*_TEXT_KINDS, "xlsx"):
-            self.unit_style = "brackets"
-        self.words, self.style = words, style
+        self.style = self._style(container)
+        self.words = VOCABULARIES[self.style]
+        self.unit_style = self._unit_style(container)
         clock_kind = self._clock_kind(container)
         faults = self._row_faults(container, clock_kind)
         measured = self._sampled(clock_kind, container, faults)
@@ -178,28 +177,20 @@ class _Drawing:
             self.reports[fault] = _REPORTS[fault]
         if blank_rows:
             self.reports["two rates"] = _REPORTS["two rates"]
-        refused = {"voltages": r"volt|motor", "two angles": r"travel|pitch|elevation|two angles|angle"}
-        reason = refused.get(refusal, "")
-        if clock_kind == "none" and not rate_Hz:
-            reason = r"time|rate|clock"
+        without_time = clock_kind == "none" and not rate_Hz
         truth = ImportTruth(
             truth_samples,
-            measured.true_s.size,
-            self.time_tolerance_s,
-            self.value_step,
-            self.lost_s,
-            reason,
-            self.reports,
-            tuple(self.unknown),
+            row_count=measured.true_s.size,
+            time_tolerance_s=self.time_tolerance_s,
+            value_step=self.value_step,
+            lost_s=self.lost_s,
+            refusal=r"time|rate|clock" if without_time else _REFUSALS.get(refusal, ""),
+            reports=self.reports,
+            unknown=tuple(self.unknown),
         )
-        self.traits += [container, f"clock {clock_kind}", f"names {style}/{self.unit_style}", *faults]
+        self.traits += [container, f"clock {clock_kind}", f"names {self.style}/{self.unit_style}", *faults]
         gives_rig = random.chance(0.7)
         self.traits.append(f"rig {self.recipe.rig_name}{'' if gives_rig else ' (not given)'}")
-        dialect = random.choice((",.", ",.", ";,", ";.", "\t.", "\t,", " .", "|."))
-        if clock_kind in ("clock", "local date", "iso date", "german date") and dialect == " .":
-            dialect = ",."
-        if clock_kind == "thousands" and dialect.startswith(","):
-            dialect = ";."
         return LogCase(
             seed,
             number,
@@ -207,13 +198,31 @@ class _Drawing:
             container,
             recording,
             truth,
-            self.recipe.rig_name,
-            gives_rig,
-            rate_Hz,
-            known,
-            tuple(fault for fault in faults if fault in _ROW_FAULTS[:7] or fault == "reversed"),
-            dialect,
+            rig_name=self.recipe.rig_name,
+            gives_rig=gives_rig,
+            rate_Hz=rate_Hz,
+            known_columns=known,
+            row_faults=tuple(fault for fault in faults if fault in _FAULTS_OF_THE_FILE),
+            dialect=self._dialect(clock_kind),
         )
+
+    def _unit_style(self, container: str) -> str:
+        """Draw how names state their units; without names, and in messages, they do not."""
+        style = self.random.choice(("none", "none", "brackets", "parentheses", "tail", "row", "slash"))
+        if self.style == "none" or container in ("mcap", "ros2"):
+            return "none"
+        if style == "row" and container not in (*_TEXT_KINDS, "xlsx"):
+            return "brackets"
+        return style
+
+    def _dialect(self, clock_kind: str) -> str:
+        """Draw separator and decimal mark of a text; a separator that its times contain is exchanged."""
+        dialect = self.random.choice((",.", ",.", ";,", ";.", "\t.", "\t,", " .", "|."))
+        if clock_kind in ("clock", "local date", "iso date", "german date") and dialect == " .":
+            return ",."
+        if clock_kind == "thousands" and dialect.startswith(","):
+            return ";."
+        return dialect
 
     def _style(self, container: str) -> str:
         styles = [style for style in VOCABULARIES if style != "none"]
@@ -235,19 +244,13 @@ class _Drawing:
     def _row_faults(self, container: str, clock_kind: str) -> list[str]:
         if self.random.chance(0.55):
             return []
-        damages = ("truncated lines", "merged lines", "garbage", "repeated header", "error cells")
         possible = [
             fault
             for fault in _ROW_FAULTS
-            if (container in _TEXT_KINDS or fault not in damages)
+            if (container in _TEXT_KINDS or fault not in _LINE_FAULTS)
             and (container not in ("mcap", "ros2") or fault in ("lost rows", "long gap"))
         ]
         if clock_kind in ("none", "rows"):
-            possible = [
-                fault
-                for fault in possible
-                if fault in damages and fault not in ("truncated lines", "garbage")
-            ]
             possible = ["stalled values"]
         fine_clocks = ("s", "ms", "us", "ns", "epoch s", "epoch ms", "iso date", "clock", "datetime", "min")
         if clock_kind not in fine_clocks:
