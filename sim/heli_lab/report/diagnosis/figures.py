@@ -105,6 +105,7 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
             panel.plot(
                 t_s, np.rad2deg(run.predicted_rad[worst_window, axis]), color=color, lw=1.3, label=label
             )
+            # Residuals are in multiples of the encoder's standard deviation.
             error_deg = np.rad2deg(_rms(run.residual[worst_window, axis]) * run.sigma_rad[axis])
             error_texts.append(f"{error_deg:.3g} deg {label}")
         panel.set_title(f"{AXES[axis]}: rms {', '.join(error_texts)}", fontsize=9)

@@ -379,7 +379,7 @@ def _regions_note(diagnosis: Diagnosis, test: RegionTest) -> str:
     return ""
 
 
-def unknown_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | None:
+def unexplained_torque(diagnosis: Diagnosis, save_figure: SaveFigure) -> Picture | None:
     """Draw the missing torque over its quantity, if neither a curve nor an equation describes it."""
     if diagnosis.missing is None or diagnosis.verdict.unlisted or diagnosis.proposal is not None:
         return None
@@ -471,8 +471,15 @@ def write_report(
     held_out = diagnosis.held_out.extension
     before, after = held_out.before[0].fit, held_out.after[0].fit
     terms = missing_terms(diagnosis)
-    unknown_terms = [term for term in terms if term.is_spline]
+    # A curve stands for an unknown cause; all other terms belong to known causes.
+    curves = [term for term in terms if term.is_spline]
+    known_terms = [term for term in terms if not term.is_spline]
+    # If nothing was added to the baseline, its fit is also the one after.
     extended = before is not after
+    is_certain = diagnosis.label != "unexplained"
+    judged_flight = (
+        "a flight that no fit used" if diagnosis.assessment.after.held_out_fit else "the fitted flight"
+    )
     model = diagnosis.assessment.after.fit.problem.model
     meanings = {quantity.name: quantity.meaning for quantity in model.parameters}
 
@@ -492,11 +499,9 @@ def write_report(
         sentence=numbers["sentence"],
         next_step=capital(next_step(diagnosis)),
         cautions=[full_sentence(caution) for caution in numbers["cautions"]],
-        unknown_cause=missing_section("unknown", unknown_terms, save_figure),
-        cause=missing_section("cause", [term for term in terms if term not in unknown_terms], save_figure),
-        judged="a flight that no fit used"
-        if diagnosis.assessment.after.held_out_fit
-        else "the fitted flight",
+        unexplained_curve=missing_section("unknown", curves, save_figure),
+        missing_part=missing_section("cause", known_terms, save_figure),
+        judged_flight=judged_flight,
         prediction=save_figure(
             "prediction",
             figure_of_prediction(
@@ -511,15 +516,14 @@ def write_report(
         },
         forecast_error=None if shares is None else _share_section(shares, diagnosis.label),
         causes=[
-            cause_section(cause, meanings, diagnosis.label != "unexplained", save_figure)
-            for cause in cause_entries(diagnosis)
+            cause_section(cause, meanings, is_certain, save_figure) for cause in cause_entries(diagnosis)
         ],
-        small=[full_sentence(line) for line in small_effect_lines(diagnosis)],
-        unknown=_unexplained_section(numbers["unexplained"]),
+        small_effects=[full_sentence(line) for line in small_effect_lines(diagnosis)],
+        unexplained=_unexplained_section(numbers["unexplained"]),
         curves=save_figure("curves", figures.figure_of_curves(diagnosis.curves))
         if diagnosis.curves
         else None,
-        unknown_torque=unknown_torque(diagnosis, save_figure),
+        unexplained_torque=unexplained_torque(diagnosis, save_figure),
         disturbances=_disturbance_section(diagnosis, numbers),
         equation=_equation_section(diagnosis, save_figure),
         uninformed=_uninformed_rows(numbers["rig"]["numbers"], meanings),
@@ -536,8 +540,8 @@ def write_report(
         size=save_figure("size", figures.figure_of_size(diagnosis)),
         calibration=calibration_tables(numbers["gain"]["calibration"]),
         residual=residual_section(numbers["residual"]),
-        used=_flight_sections(numbers["flights"]),
-        took=f"It took {numbers['refits']} refits of the model, {numbers['seconds_taken']:.0f} s here.",
+        flights_used=_flight_sections(numbers["flights"]),
+        effort=f"It took {numbers['refits']} refits of the model, {numbers['seconds_taken']:.0f} s here.",
     )
 
 
