@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 from heli_host.board.twins import FALSE_ALARM_INTERVAL_h
@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from heli_lab.watch.calibration import Tail, TwinRig
     from heli_lab.watch.monitor import TwinReport
     from heli_lab.watch.twin import TwinEvent
+
+_LEARNED_SHARE: Final = 0.9
+"""Share of the work that is done once disturbances and threshold are learned."""
 
 
 def twin(
@@ -104,11 +107,11 @@ def twin(
     with WorkBar() as bar:
         twin_rig, slow_log_notes = _calibrated(twin_rig, nominal_paths, learn, loop_rate_Hz, bar)
         for path in flights or ():
-            bar.show(f"following {path.name}", 0.9)
+            bar.show(f"following {path.name}", _LEARNED_SHARE)
             reports.append(
                 monitor_file(twin_rig, path, false_alarm_interval_h, start_s, stop_s, loop_rate_Hz)
             )
-    say(*dict.fromkeys(filter(None, (*slow_log_notes, *(report.slow_log for report in reports)))))
+    say(*dict.fromkeys(filter(None, (*slow_log_notes, *(report.slow_log_note for report in reports)))))
     if reports:
         say(*_fit_lines(twin_rig, reports, false_alarm_interval_h))
     for report in reports:
@@ -226,7 +229,7 @@ def _json_object(
             {
                 "flight": report.label,
                 "fit": report.fit,
-                "slow_log": report.slow_log or None,
+                "slow_log": report.slow_log_note or None,
                 "free_s": report.free_s,
                 "unjudged_s": report.unjudged_s,
                 "max_evidence_nats": report.max_evidence_nats,

@@ -500,7 +500,7 @@ def _axis_json(row: HorizonErrors, axis: str) -> dict[str, Any]:
     }
 
 
-_SHOWN_EVERY_s: Final = 2.5
+_DRAWN_EVERY_s: Final = 2.5
 """Time between the forecasts that the figure draws over the measured angles [s]."""
 
 
@@ -513,7 +513,8 @@ def draw_forecasts(
     figure = Figure(figsize=(11.0, 8.0), layout="constrained")
     all_axes = figure.subplots(_AXIS_COUNT, 2, squeeze=False, width_ratios=(1, 2))
     horizons_s = [row.horizon_s for row in rows]
-    for number, (axis, (errors_ax, flight_ax)) in enumerate(zip(AXES, all_axes, strict=True)):
+    for axis_index, (axis, (errors_ax, flight_ax)) in enumerate(zip(AXES, all_axes, strict=True)):
+        # Errors, color and line style by label; without a baseline, its line has no points and is not drawn.
         lines = {
             "nothing changes": ([row.persistence[axis] for row in rows], "#888888", ":"),
             baseline_text: (
@@ -531,21 +532,22 @@ def draw_forecasts(
         errors_ax.set_ylabel(f"{axis}: rms error, deg")
         flight_ax.plot(
             forecasts.start_s,
-            np.rad2deg(forecasts.start_rad[:, number]),
+            np.rad2deg(forecasts.start_rad[:, axis_index]),
             color="#888888",
             lw=1.2,
             label="measured",
         )
-        shown = forecasts.start_s[0]
-        for start, start_s in enumerate(forecasts.start_s):
-            if start_s < shown:
+        # Paths from all starts would cover each other.
+        next_drawn_s = forecasts.start_s[0]
+        for row, start_s in enumerate(forecasts.start_s):
+            if start_s < next_drawn_s:
                 continue
-            shown = start_s + _SHOWN_EVERY_s
-            longest_s = max(
-                np.array(HORIZONS_s)[np.isfinite(forecasts.measured_rad[start, :, 0])], default=0.0
-            )
+            next_drawn_s = start_s + _DRAWN_EVERY_s
+            # A path ends with the flight: at the longest horizon that has a measured angle.
+            is_measured = np.isfinite(forecasts.measured_rad[row, :, 0])
+            longest_s = max(np.array(HORIZONS_s)[is_measured], default=0.0)
             points = slice(0, round(longest_s / _PATH_EVERY_s) + 1)
-            path_deg = np.rad2deg(forecasts.path_rad[start, points, number])
+            path_deg = np.rad2deg(forecasts.path_rad[row, points, axis_index])
             flight_ax.plot(forecasts.path_s[points] + start_s, path_deg, color="#0b5394", lw=0.8)
         flight_ax.set_ylabel(f"{axis}, deg")
     # Below the plots, where it covers no curve.

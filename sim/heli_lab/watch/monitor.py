@@ -45,7 +45,7 @@ class TwinReport:
     unjudged_s: float = 0.0
     """Time in that part with voltages that the nominal flights do not contain; no alarm begins then [s]."""
     flown_rig: str = ""  # Name of the rig in the flight's file; empty if it has none
-    slow_log: str = ""  # What a log lacks that is slower than its control loop; empty for other logs
+    slow_log_note: str = ""  # What a log lacks that is slower than its control loop; empty for other logs
 
     @property
     def max_evidence_nats(self) -> float:
@@ -124,7 +124,7 @@ def monitor_file(
         flown_rig = str(flight.meta.get("rig") or "")
         (flight,), notes = acting_flights(twin_rig.model, twin_rig.rig, [flight], [path.name], loop_Hz)
         report = monitor_flight(twin_rig, flight, path.name, false_alarm_interval_h, start_s, stop_s)
-        return replace(report, flown_rig=flown_rig, slow_log="; ".join(notes))
+        return replace(report, flown_rig=flown_rig, slow_log_note="; ".join(notes))
     log = read_log(path)
     samples, zero_s = samples_of_log(log)
     count_rad = rad_per_count(log.parameters)
