@@ -33,6 +33,8 @@ ENCODER_PINS: Mapping[str, tuple[str, str]] = {
     "TC2": ("D5", "D4"),
     "interrupt": ("D25", "D26"),
 }
+INDEX_PINS: Mapping[str, tuple[str, str]] = {"TC0": ("A6", "PA3"), "TC2": ("D10", "PC29")}
+"""Pins that the chip connects with the index inputs of its two decoders: on the Due, and on the chip."""
 PWM_CHANNELS: Mapping[str, int] = {"D9": 4, "D8": 5, "D7": 6, "D6": 7}
 STOP_PIN = "D29"
 SERIAL_PINS = ("D0", "D1")
@@ -229,14 +231,14 @@ def rows(wiring: Wiring) -> Iterator[tuple[str, str, str, str]]:
 def generate_table(wiring: Wiring) -> str:
     """Return the table of the wires in Markdown, with the marks before and after it."""
     lines = [BEGIN, "", "| signal | Due | chip | goes to | with |", "|---|---|---|---|---|"]
-    for name, pin, goes_to, connected_with in rows(wiring):
+    for name, pin, goes_to, resistor in rows(wiring):
+        resistor_cell = f" {resistor} " if resistor else " "
+        lines.append(f"| `{name}` | {pin} | {CHIP_PINS[pin]} | {goes_to} |{resistor_cell}|")
+    for decoder in ("TC2", "TC0"):
+        axis = wiring.encoders[decoder]
+        pin, chip_pin = INDEX_PINS[decoder]
         lines.append(
-            f"| `{name}` | {pin} | {CHIP_PINS[pin]} | {goes_to} |{f' {connected_with} ' if connected_with else ' '}|"
-        )
-    for name, index, chip in (("TC2", "D10", "PC29"), ("TC0", "A6", "PA3")):
-        axis = wiring.encoders[name]
-        lines.append(
-            f"| index of {axis} | {index} | {chip} | **nothing**: an edge there clears the {axis} count [D] | |"
+            f"| index of {axis} | {pin} | {chip_pin} | **nothing**: an edge there clears the {axis} count [D] | |"
         )
     return "\n".join([*lines, "", END])
 

@@ -98,21 +98,24 @@ void Cpu::close_probes(std::uint32_t address) {
 
 // An exception is entered: notes the counters, to find the cost of its handler at its return.
 void Cpu::note_entry(std::uint8_t number) {
-  const std::size_t inner = std::min<std::size_t>(open_exceptions_.size() + 1, nested_.size() - 1);
+  // Depth of the handler that begins: 1 if it interrupts the thread.
+  const std::size_t depth = std::min<std::size_t>(open_exceptions_.size() + 1, nested_.size() - 1);
   stats_[number].last_entry = cycles_;
-  open_exceptions_.push_back({number, instructions_, cycles_, nested_[inner]});
+  open_exceptions_.push_back({number, instructions_, cycles_, nested_[depth]});
 }
 
-// A handler returns: adds its cost to its statistics. nested_[depth] counts the instructions of
-// handlers that have preempted the code at that depth; they do not count for the code itself.
+// A handler returns: adds its cost to its statistics. nested_[depth] counts the instructions of all
+// finished handlers that preempted code at that depth. What was counted at the handler's depth
+// since its entry is not its cost; all its instructions are then counted at the depth that it
+// preempted.
 void Cpu::note_return() {
   if (open_exceptions_.empty()) return;
   const OpenException open = open_exceptions_.back();
-  const std::size_t inner = std::min(open_exceptions_.size(), nested_.size() - 1);
+  const std::size_t depth = std::min(open_exceptions_.size(), nested_.size() - 1);
   open_exceptions_.pop_back();
   const std::uint64_t total = instructions_ - open.instructions;
-  const std::uint64_t own = total - (nested_[inner] - open.nested);
-  nested_[inner - 1] += total;
+  const std::uint64_t own = total - (nested_[depth] - open.nested);
+  nested_[depth - 1] += total;
   ExceptionStats& stats = stats_[open.number];
   ++stats.count;
   stats.instructions += own;
