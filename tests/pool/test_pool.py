@@ -29,7 +29,6 @@ from tests.cli.terminal import Terminal
 from tests.pool.coverage import BY_FLIGHTS, FLIGHTS, normalised_errors, shares_of_one
 from tests.running.long import samples
 
-
 RIG = load_rig("makki2024")
 
 

@@ -43,7 +43,6 @@ from tests.rig.miswired import (
     wires_found,
 )
 
-
 pytestmark = pytest.mark.medium
 
 PAPER = "makki2024"

@@ -31,7 +31,6 @@ from heli_sim.sil.transport import SilProcess
 from tests.cli.terminal import Terminal
 from tests.identify.made import flown, thinned
 
-
 ODD = {"encoder_counts_pitch": 1000.0, "encoder_direction_elevation": -1.0, "encoder_direction_pitch": 1.0}
 """An encoder of 250 lines on pitch, and one on elevation that counts down; nobody looked at travel."""
 TRUTH = {"thrust_gain": 0.62, "friction_travel": 0.05}

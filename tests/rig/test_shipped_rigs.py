@@ -21,7 +21,6 @@ from hypothesis import strategies as st
 
 from tests.cli.terminal import Terminal, refusal
 
-
 QUANSER = Path(__file__).parents[2] / "sim/heli_sim/rig/quanser-course.toml"
 PER_DEG = 180.0 / np.pi
 

@@ -15,7 +15,6 @@ from heli_sim.rig import Rig, load_rig
 
 from tests.cli.terminal import Terminal, refusal
 
-
 pytestmark = pytest.mark.medium
 
 mujoco = pytest.importorskip("mujoco")
