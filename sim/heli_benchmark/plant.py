@@ -260,9 +260,9 @@ class MujocoPlant:
             self._time_s,
             self._flight_s,
             volts_V.copy(),
-            np.zeros(2),
-            self._qpos.take(self._q),
-            self._qvel.take(self._v),
+            thrust_N=np.zeros(2),
+            angles_rad=self._qpos.take(self._q),
+            rates_rad_s=self._qvel.take(self._v),
             up=up,
             climb_m_s=climb,
         )
@@ -314,9 +314,9 @@ class TrueTrajectory:
             float(self.time_s[k]),
             float(self.flight_s[k]),
             self.volts_V[k].copy(),
-            np.zeros(2),
-            self.angles_rad[k],
-            self.rates_rad_s[k],
+            thrust_N=np.zeros(2),
+            angles_rad=self.angles_rad[k],
+            rates_rad_s=self.rates_rad_s[k],
             up=self.up[k],
             climb_m_s=self.climb_m_s[k],
         )
@@ -338,4 +338,4 @@ class TrajectoryRecorder(HiddenEffect):
         """Return the recorded trajectory."""
         rows = np.array(self._rows)
         angles, rates, volts, up, climb = np.split(rows[:, :13], [3, 6, 8, 11], axis=1)
-        return TrueTrajectory(angles, rates, volts, up, climb, rows[:, 13], rows[:, 14])
+        return TrueTrajectory(angles, rates, volts, up, climb, time_s=rows[:, 13], flight_s=rows[:, 14])

@@ -471,7 +471,9 @@ def fly_law(
         # The board took over. Telemetry shows this slightly before the event with the reason arrives.
         heli.wait(0.1)
         reason, value = _newest_takeover(heli) or ("unknown", 0.0)
-    report = LawReport(program.name, program.hash, (last.tick - first_tick) * 1e-3, reason, value)
+    report = LawReport(
+        program.name, program.hash, flown_s=(last.tick - first_tick) * 1e-3, taken_over=reason, value=value
+    )
     if heli.latest.state is State.FAULT:
         raise FlightAborted(f"the board switched the motors off: {fault_text(heli.latest.fault)}")
     _end_law(heli, after)

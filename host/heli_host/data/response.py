@@ -339,12 +339,16 @@ def _response(flight: Flight, axis: str) -> Response:
     """
     is_commanded, nan = led_rows(flight, axis), math.nan
     if not is_commanded.any():
-        return Response(axis, nan, nan, nan, nan, nan, nan)
+        return Response(
+            axis, step_s=nan, step_deg=nan, rise_s=nan, overshoot_percent=nan, settling_s=nan, rms_deg=nan
+        )
     error_rad = getattr(flight, f"{axis}_rad") - getattr(flight, f"{axis}_setpoint_rad")
     rms_deg = rms(np.rad2deg(error_rad[is_commanded]))
     largest = max(steps(flight, axis), key=lambda step: abs(step.size_deg), default=None)
     if largest is None:
-        return Response(axis, nan, nan, nan, nan, nan, rms_deg)
+        return Response(
+            axis, step_s=nan, step_deg=nan, rise_s=nan, overshoot_percent=nan, settling_s=nan, rms_deg=rms_deg
+        )
     metrics = largest.metrics
     return Response(
         axis,

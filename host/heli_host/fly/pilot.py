@@ -93,7 +93,9 @@ class ProgressReports:
     def _call(self, t_s: float, phase: str, left_s: float | None) -> None:
         # A board that has restarted has sent no sample yet.
         if self._callback is not None and self._heli.session.latest is not None:
-            self._callback(Progress(t_s, left_s, phase, self._heli.latest, self._heli.session.counters))
+            self._callback(
+                Progress(t_s, left_s, phase, sample=self._heli.latest, counters=self._heli.session.counters)
+            )
 
 
 LAW_TAKEN_OVER: Final = "law_taken_over"

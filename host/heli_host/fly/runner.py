@@ -167,7 +167,9 @@ def _read_log_or_disk_error(path: Path, recorder: Recorder) -> Log:
         if recorder.error is None:
             raise
         ticks = np.zeros(0, TICK_LAYOUT.dtype)
-        return Log(path, ticks, TICK_LAYOUT, (), (), {}, (str(error),), complete=False)
+        return Log(
+            path, ticks, TICK_LAYOUT, events=(), link=(), metadata={}, notes=(str(error),), complete=False
+        )
 
 
 def _read_plans(plans: PlanLike | Sequence[PlanLike]) -> list[Plan]:

@@ -463,7 +463,9 @@ class Engine:
         self._sent_tick = self._ping_tick = 0
         self._malformed = 0
         self._board: StatusMessage | None = None
-        self._counts_at_welcome = _ParserCounts(0, 0, 0, 0, 0)
+        self._counts_at_welcome = _ParserCounts(
+            frames_ok=0, frames_bad=0, frames_lost=0, bytes_received=0, bytes_dropped=0
+        )
 
     def counters(self) -> LinkCounters:
         """Return all counts since the first welcome."""

@@ -320,10 +320,12 @@ class MissedEvents:
             state_before, trigger_before, fault_before = before[index].tolist()
             is_new_state = (state, trigger) != (state_before, trigger_before)
             if is_new_state and not self._has_arrived(Event.STATE, state, tick_before, tick):
-                missed.append(EventMessage(tick, Event.STATE, state, trigger, 0.0))
+                missed.append(EventMessage(tick, kind=Event.STATE, detail=state, cause=trigger, value=0.0))
             is_new_fault = fault not in (fault_before, Fault.NONE)
             if is_new_fault and not self._has_arrived(Event.FAULT, fault, tick_before, tick):
-                missed.append(EventMessage(tick, Event.FAULT, fault, trigger, math.nan))
+                missed.append(
+                    EventMessage(tick, kind=Event.FAULT, detail=fault, cause=trigger, value=math.nan)
+                )
         self._tick, self._row = int(ticks.tick[-1]), modes[-1]
         return missed
 

@@ -155,34 +155,70 @@ def _cases_by_kind() -> Iterator[Case]:
         for name, (maker, small, large) in LISTED.items():
             seed += 1
             value = (large if size == 2 else small) * _size_factor(seed)
-            yield Case(f"{name}-{_SIZE_WORD[size]}", ((name, value),), (), seed, (maker,))
+            yield Case(
+                f"{name}-{_SIZE_WORD[size]}",
+                effects=((name, value),),
+                unlisted=(),
+                seed=seed,
+                makers=(maker,),
+            )
         for number in range(_NOTHING // 2):
             seed += 1
-            yield Case(f"nothing-{number + (2 - size) * _NOTHING // 2}", (), (), seed, ())
+            yield Case(
+                f"nothing-{number + (2 - size) * _NOTHING // 2}",
+                effects=(),
+                unlisted=(),
+                seed=seed,
+                makers=(),
+            )
         for name, (maker, off_size) in OFF_LIST.items():
             seed += 1
             value = off_size * _OFF_FACTOR[size]
-            yield Case(f"off-{name}-{_SIZE_WORD[size]}", (), ((name, value),), seed, (maker,))
+            yield Case(
+                f"off-{name}-{_SIZE_WORD[size]}",
+                effects=(),
+                unlisted=((name, value),),
+                seed=seed,
+                makers=(maker,),
+            )
         for names in _SEVERAL:
             seed += 1
             effects = tuple((name, float(np.mean(LISTED[name][1:]))) for name in names)
-            yield Case("+".join(names) + f"-{size}", effects, (), seed, tuple(LISTED[n][0] for n in names))
+            yield Case(
+                "+".join(names) + f"-{size}",
+                effects,
+                unlisted=(),
+                seed=seed,
+                makers=tuple(LISTED[n][0] for n in names),
+            )
     # Kinds that were added later: effects in another form, then further unlisted and listed effects.
     seed = 1500
     for name, (effect, maker, value) in OTHER_FORMS.items():
         seed += 1
-        yield Case(name, ((effect, value),), (), seed, (maker,))
+        yield Case(name, effects=((effect, value),), unlisted=(), seed=seed, makers=(maker,))
     for size in (2, 1):
         for name, (maker, off_size) in MORE_OFF_LIST.items():
             seed += 1
             value = off_size * _OFF_FACTOR[size]
-            yield Case(f"off-{name}-{_SIZE_WORD[size]}", (), ((name, value),), seed, (maker,))
+            yield Case(
+                f"off-{name}-{_SIZE_WORD[size]}",
+                effects=(),
+                unlisted=((name, value),),
+                seed=seed,
+                makers=(maker,),
+            )
     seed = 1600
     for size in (2, 1):
         for name, (maker, small, large) in MORE_LISTED.items():
             seed += 1
             value = (large if size == 2 else small) * _size_factor(seed)
-            yield Case(f"{name}-{_SIZE_WORD[size]}", ((name, value),), (), seed, (maker,))
+            yield Case(
+                f"{name}-{_SIZE_WORD[size]}",
+                effects=((name, value),),
+                unlisted=(),
+                seed=seed,
+                makers=(maker,),
+            )
 
 
 def _size_factor(seed: int) -> float:

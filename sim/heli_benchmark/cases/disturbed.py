@@ -266,15 +266,15 @@ def _draw_case(name: str, seed: int, effects: Sequence[str], equations: Sequence
     ]
     return DisturbedCase(
         name,
-        tuple(sized),
-        tuple(sized_unlisted),
-        seed,
-        tuple(MAKERS[cause] for cause in (*effects, *equations)),
-        QUANSER_RIG if on_quanser else PAPER_RIG,
-        rate_Hz,
-        weak,
-        controller,
-        disturbances,
+        effects=tuple(sized),
+        unlisted=tuple(sized_unlisted),
+        seed=seed,
+        makers=tuple(MAKERS[cause] for cause in (*effects, *equations)),
+        rig_name=QUANSER_RIG if on_quanser else PAPER_RIG,
+        rate_Hz=rate_Hz,
+        gentle=weak,
+        controller=controller,
+        disturbances=disturbances,
     )
 
 

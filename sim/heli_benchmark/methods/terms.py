@@ -283,7 +283,15 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     features = (features - scales.feature_mean) / scales.feature_std
     priors = {name: Estimate(rig[name].value, 0.5 * rig[name].tolerance) for name in nuisance_names}
     residuals = fitted / scales.residual_std
-    return ResidualRegression(white(target), white(nuisance), useful, residuals, features, priors, scales)
+    return ResidualRegression(
+        white(target),
+        white(nuisance),
+        terms=useful,
+        residuals=residuals,
+        features=features,
+        rig_priors=priors,
+        standardisation=scales,
+    )
 
 
 def _listed_terms(case: BenchmarkCase, smooth: Sequence[SmoothedFlight]) -> list[Term]:

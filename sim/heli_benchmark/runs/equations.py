@@ -57,15 +57,15 @@ def equation_cases() -> list[DisturbedCase]:
         cases.append(
             DisturbedCase(
                 f"law-{equation}-{size}",
-                (("rotor_lag", _LAG_s),) if has_lag else (),
-                ((equation, EQUATIONS[equation].size * _SIZES[size] * _LARGER[strength]),),
-                5000 + number,
-                (LISTED["rotor_lag"][0], *makers) if has_lag else makers,
-                "makki2024",
-                int(rng.choice(_RATES_Hz)),
-                False,
-                CONTROLLERS[int(rng.integers(3))],
-                disturbances,
+                effects=(("rotor_lag", _LAG_s),) if has_lag else (),
+                unlisted=((equation, EQUATIONS[equation].size * _SIZES[size] * _LARGER[strength]),),
+                seed=5000 + number,
+                makers=(LISTED["rotor_lag"][0], *makers) if has_lag else makers,
+                rig_name="makki2024",
+                rate_Hz=int(rng.choice(_RATES_Hz)),
+                gentle=False,
+                controller=CONTROLLERS[int(rng.integers(3))],
+                disturbances=disturbances,
             )
         )
     return [cases[i] for i in np.random.default_rng(4).permutation(len(cases))]

@@ -64,14 +64,14 @@ def removed_effect_cases() -> list[DisturbedCase]:
             DisturbedCase(
                 f"taken-off-{name}",
                 effects,
-                (),
-                6000 + number,
-                tuple(_MAKERS[effect] for effect, _ in effects),
-                PAPER_RIG,
-                100,
-                False,
-                CONTROLLERS[number % 3],
-                DisturbanceModel(STRENGTHS_Nm[0], CORRELATION_TIMES_s[number % 3]),
+                unlisted=(),
+                seed=6000 + number,
+                makers=tuple(_MAKERS[effect] for effect, _ in effects),
+                rig_name=PAPER_RIG,
+                rate_Hz=100,
+                gentle=False,
+                controller=CONTROLLERS[number % 3],
+                disturbances=DisturbanceModel(STRENGTHS_Nm[0], CORRELATION_TIMES_s[number % 3]),
             )
         )
     return cases

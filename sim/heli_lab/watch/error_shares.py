@@ -241,10 +241,10 @@ def _larger_where(
     ends = np.concatenate(([-np.inf], edges[:, number], [np.inf]))
     return LargeErrorRange(
         _START_QUANTITIES[number],
-        _UNITS[number],
-        float(ends[chosen]),
-        float(ends[chosen + 1]),
-        float(np.sqrt(squares[is_inside].mean() / squares[~is_inside].mean())),
+        unit=_UNITS[number],
+        low=float(ends[chosen]),
+        high=float(ends[chosen + 1]),
+        ratio=float(np.sqrt(squares[is_inside].mean() / squares[~is_inside].mean())),
     )
 
 

@@ -435,10 +435,10 @@ def errors_at(
         )
     return HorizonErrors(
         horizon_s,
-        int(is_compared.sum()),
-        _rms_deg(squares[is_compared]),
-        _rms_deg(persistence[is_compared]),
-        reduction,
+        forecasts=int(is_compared.sum()),
+        with_causes=_rms_deg(squares[is_compared]),
+        persistence=_rms_deg(persistence[is_compared]),
+        reduction=reduction,
     )
 
 

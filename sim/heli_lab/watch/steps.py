@@ -58,7 +58,11 @@ class Samples:
 
 
 _NO_SAMPLES: Final = Samples(
-    np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 2)), np.empty(0, bool), np.empty(0, bool)
+    np.empty(0, np.int64),
+    angles_rad=np.empty((0, 3)),
+    volts_V=np.empty((0, 2)),
+    flying=np.empty(0, bool),
+    landing=np.empty(0, bool),
 )
 
 
@@ -214,7 +218,9 @@ def samples_of_ticks(tick: Integers, raw: npt.NDArray[np.int32], count_rad: Floa
     )
     volts = np.column_stack([physical(raw, channel) for channel in (Channel.FRONT, Channel.BACK)])
     state = numbers(raw, Channel.STATE)
-    return Samples(tick, angles, volts, ~np.isin(state, _OFF_STATES), np.isin(state, _LANDING_STATES))
+    return Samples(
+        tick, angles, volts, flying=~np.isin(state, _OFF_STATES), landing=np.isin(state, _LANDING_STATES)
+    )
 
 
 def count_rad_of(flight: Flight, rig: Rig) -> Floats:

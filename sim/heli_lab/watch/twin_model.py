@@ -198,7 +198,9 @@ class ParameterUncertainty:
         return directions[:, np.any(directions != 0.0, axis=0)]
 
 
-EXACT: Final = ParameterUncertainty((), np.zeros((0, 0)), 0.0, np.full(2, -np.inf), np.full(2, np.inf))
+EXACT: Final = ParameterUncertainty(
+    (), covariance=np.zeros((0, 0)), supply_std=0.0, low_V=np.full(2, -np.inf), high_V=np.full(2, np.inf)
+)
 """Parameters without an error, for all voltages."""
 
 

@@ -49,7 +49,7 @@ def choose(board: str, elf: str = "") -> Choice:
         path = Path(elf) if elf else find_firmware()
     except (SimError, ImportError) as error:
         if board == AUTO and not elf:
-            return Choice(NATIVE, "", False, "native board", str(error))
+            return Choice(NATIVE, elf="", named=False, text="native board", reason=str(error))
         raise
     return Choice(DUE, str(path), bool(elf), f"emulated Due, {path.name}")
 

@@ -184,14 +184,14 @@ def _random_torque_causes(result: Diagnosis) -> list[CauseEntry]:
     return [
         CauseEntry(
             id_,
-            values,
-            CONFIDENCE_RANDOM_TORQUE,
-            result.kinds[id_].describe(
+            parameters=values,
+            confidence=CONFIDENCE_RANDOM_TORQUE,
+            sentence=result.kinds[id_].describe(
                 {key: number.value for key, number in values.items()},
                 {key: number.std for key, number in values.items()},
             ),
-            result.kinds[id_].equation,
-            {"log_likelihood_ratio": float(result.assessment.residual_analysis.gains.max())},
+            equation=result.kinds[id_].equation,
+            evidence={"log_likelihood_ratio": float(result.assessment.residual_analysis.gains.max())},
         )
         for id_, values in result.random_torque.items()
     ]
