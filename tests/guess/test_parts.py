@@ -114,6 +114,12 @@ def test_the_encoders_of_another_rig_are_only_doubted_if_the_user_names_the_rig(
     assert subjects(log, is_given=True) == ["the scale of travel's encoder"]
 
 
+def test_a_voltage_that_stands_still_for_a_moment_is_no_failed_link() -> None:
+    log = log_of(simulated(1)[0])
+    log["back_V"][rows(log, 50.0, 50.45)] = 0.0
+    assert subjects(log) == []
+
+
 def test_a_voltage_at_its_limit_is_no_failed_link_if_pitch_responds() -> None:
     t_s = 0.02 * np.arange(3000)
     random = np.random.default_rng(1)

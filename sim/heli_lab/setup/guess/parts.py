@@ -35,7 +35,7 @@ _STEPS_RATIO: Final = 20.0
 """The same ratio of the steps of an encoder. Rows that are filled in divide a step by up to 6."""
 _NEAR_S: Final = 0.3
 """Time before and after a part in which a voltage still changes [s]."""
-_HELD_S: Final = 0.3
+_HELD_S: Final = 0.6
 _HELD_INTERVALS: Final = 5.0
 _MAX_INTERVAL_S: Final = 0.1
 """Shortest time for which a voltage is held by a failed link [s], also as a multiple of the usual interval
