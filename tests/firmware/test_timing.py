@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from heli_host.board.heli import Heli
-from heli_host.declaration import PARAMS, Channel, Fault, Param, State
+from heli_host.declaration import PARAMS, ArmMessage, Channel, Fault, Param, State
+from heli_host.link.engine import UNNUMBERED
 
 from tests.firmware.desk import (
     CLOCK_DISABLE,
@@ -199,7 +200,9 @@ def test_an_arm_that_was_zeroed_just_now_is_not_moving(board: Board, heli: Heli)
         heli.wait(0.05)
     heli.wait(0.2)
     heli.zero()
-    heli.arm()
+    # At once: `Heli.arm` would wait until pitch has been still for 2 s.
+    heli.session.command(ArmMessage(UNNUMBERED))
+    heli.session.wait_for_state(State.ARMED)
     assert board.on()
 
 

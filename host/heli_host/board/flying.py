@@ -132,7 +132,7 @@ class Flying:
         self.session.keep_alive(self.target if on else None)
 
     def arm(self) -> None:
-        """Let the board run its checks and enable the motor drivers, and remember the angles at rest."""
+        """Remember the angles at rest, and let the board run its checks and enable the motor drivers."""
         pitch_count_deg = 360.0 / abs(self.params["pitch_counts_per_rev"])
         at_rest = RestAngles.of(self.telemetry.latest, self._samples_at_rest(), pitch_count_deg)
         self.session.command(ArmMessage(UNNUMBERED))

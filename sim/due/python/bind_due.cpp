@@ -94,7 +94,8 @@ void poke(Due& due, std::uint32_t address, const nb::bytes& data) {
   const std::uint32_t step = access_bytes(address, data.size());
   for (std::uint32_t i = 0; i < data.size(); i += step) {
     const std::uint32_t offset = address + i - kFlashBase;
-    if (offset < kFlashSize) {  // Below the flash, the unsigned difference is larger than any offset.
+    // Below the flash, the unsigned difference is larger than any offset.
+    if (offset < kFlashSize) {
       system.memory.flash[offset] = from[i];
       system.cpu.flush_flash_code();
       continue;
