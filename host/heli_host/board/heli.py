@@ -302,7 +302,7 @@ class Heli:
         """Let the board run its pre-flight checks and enable the motor drivers, at 0 V.
 
         A board that was reset gets its last law again first. If pitch has changed since the connection, up to
-        2 s pass before that, to tell a drift from a rest.
+        2 s pass before that, to distinguish a drift from a rest.
 
         Raises
         ------
