@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import difflib
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -308,6 +310,68 @@ def _without_falls(t_s: Floats) -> Floats:
     return np.concatenate((t_s[:1], t_s[0] + np.cumsum(steps_s)))
 
 
+@dataclass(frozen=True)
+class _Motion:
+    """Angles and voltages of n rows, in which a failed link shows as parts that stand still."""
+
+    t_s: Floats  # (n,)
+    angles_rad: Floats  # (n, 3)
+    volts: Floats  # (n, 2)
+    step_rad: Floats  # (n - 1, 3): Size of each step of the angles; 0 across a gap
+    typical_rad: Floats  # (3,): Typical size of these steps; infinite for an angle that never moves
+
+    @classmethod
+    def of(cls, rows: _Rows) -> _Motion:
+        """Measure the steps of the angles of a table's rows."""
+        angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
+        steps_s = np.diff(rows.t_s)
+        # Across a gap, an arm in motion jumps, too.
+        is_gap = steps_s > MAX_MISSING * np.median(steps_s)
+        step_rad = np.where(is_gap[:, None], 0.0, np.abs(np.diff(angles, axis=0)))
+        typical_rad = [np.median(steps[steps > 0.0]) if steps.any() else np.inf for steps in step_rad.T]
+        volts = np.column_stack(list(rows.voltages_V.values()))
+        return cls(rows.t_s, angles, volts, step_rad, np.array(typical_rad))
+
+    @cached_property
+    def lowest_rad(self) -> float:
+        """Lowest elevation: that of the table in most files."""
+        return float(self.angles_rad[:, 0].min(initial=np.inf))
+
+    def largest_usual_step_rad(self, start: int, stop: int) -> Floats:
+        """Return the size (3,) above which a step into or out of the rows `start` to `stop` is a jump."""
+        height_deg = float(np.degrees(self.angles_rad[start, 0] - self.lowest_rad))
+        # An arm on its table stands still, too, but leaves it without a large step.
+        typical_steps = _STAND_STEPS if height_deg > _OFF_TABLE_DEG else _TABLE_STEPS
+        entry = max(start - 1, 0)
+        before = self.step_rad[max(entry - _STAND_NEIGHBOURS, 0) : entry]
+        neighbours = np.concatenate((before, self.step_rad[stop : stop + _STAND_NEIGHBOURS]))
+        largest: Floats = np.maximum(
+            _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), typical_steps * self.typical_rad
+        )
+        return largest
+
+    def ends_still(self, axes: Sequence[int], start: int, others_s: Floats) -> bool:
+        """Whether the link failed at the row `start` for good: `axes` stand still in flight until the end.
+
+        `others_s` are the lengths of the earlier parts in which they stand still, shape (k,).
+        """
+        t_s, angles = self.t_s, self.angles_rad
+        length_s = t_s[-1] - t_s[start]
+        if length_s <= _LAST_STAND_S:
+            return False
+        sums_V = np.abs(self.volts.sum(axis=1))
+        is_aloft = angles[start:, 0].min() > self.lowest_rad + np.radians(_ALOFT_DEG)
+        if not is_aloft and not sums_V[start:].mean() > _HOVER_SHARE * float(np.median(sums_V)):
+            return False
+        is_long = len(axes) == len(AXES) or (others_s.size and length_s > _STAND_RATIO * others_s.max())
+        if length_s > _LONG_STAND_S and is_long:
+            return True
+        moved_rad = np.abs(angles[start] - angles[np.searchsorted(t_s, t_s[start] - _STAND_S)])
+        duration_s = max(float(np.ptp(t_s)), _STAND_S)
+        usual_rad = _MOVING_SHARE * _STAND_S * self.step_rad.sum(axis=0) / duration_s
+        return bool((moved_rad > np.maximum(_STAND_JUMPS * self.typical_rad, usual_rad))[list(axes)].any())
+
+
 def _standing(rows: _Rows) -> Booleans:
     """Mark rows that a failed link repeats: an angle stays in the air, although the motors work.
 
@@ -315,19 +379,10 @@ def _standing(rows: _Rows) -> Booleans:
     before the part, too. If the voltages freeze with the angles, a jump is not necessary. At the end of a
     file, a long part in flight counts without a jump. A rig may hover still for a moment.
     """
-    t_s = rows.t_s
-    angles = np.column_stack([rows.angles_rad[f"{axis}_rad"] for axis in AXES])
-    volts = np.column_stack(list(rows.voltages_V.values()))
+    motion = _Motion.of(rows)
+    t_s, angles, volts, step_rad = motion.t_s, motion.angles_rad, motion.volts, motion.step_rad
     result = np.zeros(t_s.size, bool)
-    steps_s = np.diff(t_s)
-    # Across a gap, an arm in motion jumps, too.
-    is_gap = steps_s > MAX_MISSING * np.median(steps_s)
-    step_rad = np.where(is_gap[:, None], 0.0, np.abs(np.diff(angles, axis=0)))
-    typical_rad = np.array([np.median(steps[steps > 0.0]) if steps.any() else np.inf for steps in step_rad.T])
-    lowest_rad, largest_V = angles[:, 0].min(initial=np.inf), np.abs(volts).max(initial=0.0)
-    aloft_rad, sums_V = lowest_rad + np.radians(_ALOFT_DEG), np.abs(volts.sum(axis=1))
-    hover_V = float(np.median(sums_V))
-    moving_rad = _MOVING_SHARE * _STAND_S * step_rad.sum(axis=0) / max(float(np.ptp(t_s)), _STAND_S)
+    largest_V = np.abs(volts).max(initial=0.0)
     rests_s = np.column_stack([_rests_s(t_s, values) for values in angles.T])
     for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2], [0], [1], [2]):
         shortest_s = _STAND_S if len(axes) > 1 else _ONE_STAND_S
@@ -335,23 +390,14 @@ def _standing(rows: _Rows) -> Booleans:
         lengths_s = t_s[runs[:, 1] - 1] - t_s[runs[:, 0]]
         # Most runs are two rows in the air, so the long ones are chosen first, and the longest is the first.
         runs, lengths_s = runs[lengths_s >= shortest_s], lengths_s[lengths_s >= shortest_s]
-        order = np.argsort(-lengths_s, kind="stable")
-        for (start, stop), length_s in zip(runs[order].tolist(), lengths_s[order], strict=True):
-            height_deg = float(np.degrees(angles[start, 0] - lowest_rad))
+        for start, stop in runs[np.argsort(-lengths_s, kind="stable")].tolist():
             is_driven = np.abs(volts[start:stop]).max() >= _OFF_SHARE * largest_V
             # A link that reports 0 in all columns reports motors that are off.
             if not is_driven and len(axes) < len(AXES):
                 continue
-            # An arm on its table stands still, too, but leaves it without a large step.
-            typical_steps = _STAND_STEPS if height_deg > _OFF_TABLE_DEG else _TABLE_STEPS
-            entry = max(start - 1, 0)
-            before = step_rad[max(entry - _STAND_NEIGHBOURS, 0) : entry]
-            neighbours = np.concatenate((before, step_rad[stop : stop + _STAND_NEIGHBOURS]))
-            usual_rad = np.maximum(
-                _STAND_JUMPS * neighbours.max(axis=0, initial=0.0), typical_steps * typical_rad
-            )
+            usual_rad = motion.largest_usual_step_rad(start, stop)
             # The jump at the end of such a part says nothing of the rows beyond it.
-            ends = (start - 1, start, entry), (stop - 1, stop - 1, min(stop, t_s.size - 1))
+            ends = (start - 1, start, max(start - 1, 0)), (stop - 1, stop - 1, min(stop, t_s.size - 1))
             jumps = [(step_rad[row : row + 1] > usual_rad)[:, axes] for row, _, _ in ends]
             # Of two parts beside a jump, the longer one is that of the failed link.
             is_longer = [rests_s[row, axes] >= rests_s[beyond, axes] for _, row, beyond in ends]
@@ -360,21 +406,12 @@ def _standing(rows: _Rows) -> Booleans:
                 bool((jump & (longer | has_both)).any()) and not result[beyond]
                 for jump, longer, (_, _, beyond) in zip(jumps, is_longer, ends, strict=True)
             )
-            if not is_driven:
-                if enters and leaves:
-                    result[start:stop] = True
-                continue
-            is_last = False
-            if stop == t_s.size and length_s > _LAST_STAND_S:
-                moved_rad = np.abs(angles[start] - angles[np.searchsorted(t_s, t_s[start] - _STAND_S)])
-                moved = bool((moved_rad > np.maximum(_STAND_JUMPS * typical_rad, moving_rad))[axes].any())
+            if is_driven:
                 others_s = lengths_s[runs[:, 1] < stop]
-                is_long = length_s > _LONG_STAND_S and (
-                    len(axes) == len(AXES) or (others_s.size and length_s > _STAND_RATIO * others_s.max())
-                )
-                flies = angles[start:, 0].min() > aloft_rad or sums_V[start:].mean() > _HOVER_SHARE * hover_V
-                is_last = flies and bool(moved or is_long)
-            if enters or leaves or is_last:
+                fails = enters or leaves or (stop == t_s.size and motion.ends_still(axes, start, others_s))
+            else:
+                fails = enters and leaves
+            if fails:
                 result[start + (not enters) : stop] = True
     return result | _frozen(t_s, angles, volts)
 
