@@ -172,58 +172,41 @@ def _changed_motion(flights: Sequence[Flight], reference: Reference, rig: Rig) -
                 "out with leave_out_s",
             )
         )
-    result += _changed_steps(parts)
-    doubted = {ambiguity.subject for ambiguity in result}
     for axis in AXES:
-        if _unit_subject(axis) in doubted:
-            continue
+        steps = [(part, step) for part in parts if (step := quantisation_step(getattr(part, f"{axis}_rad")))]
         gains = [
             (part, abs(fit[axis].gain))
             for part, fit in zip(parts, fits, strict=True)
             if fit and fit[axis].log_likelihood_ratio > DECISIVE_NATS
         ]
-        if len(gains) < 2:
-            continue
-        part, smallest = min(gains, key=lambda pair: pair[1])
-        other, largest = max(gains, key=lambda pair: pair[1])
-        if largest > _UNIT_RATIO * smallest:
-            result.append(
-                Ambiguity(
-                    _unit_subject(axis),
-                    "the same in the whole file",
-                    f"another one from {_span_text(part)} than from {_span_text(other)}",
-                    f"in the latter, {axis} responds {largest / smallest:.0f} times as strongly; look up "
-                    "what changed within the file, and leave one part out with leave_out_s",
-                )
-            )
+        by_steps = _changed_unit(axis, steps, _STEPS_RATIO, "moves in steps that are {} as large")
+        result += by_steps or _changed_unit(axis, gains, _UNIT_RATIO, "responds {} as strongly")
     return result
 
 
-def _changed_steps(parts: Sequence[Flight]) -> list[Ambiguity]:
-    """Report angles whose encoder moves in other steps in some parts than in others."""
-    result = []
-    for axis in AXES:
-        steps = [(part, quantisation_step(getattr(part, f"{axis}_rad"))) for part in parts]
-        steps = [(part, step) for part, step in steps if step]
-        if not steps:
-            continue
-        part, smallest = min(steps, key=lambda pair: pair[1])
-        other, largest = max(steps, key=lambda pair: pair[1])
-        if largest > _STEPS_RATIO * smallest:
-            result.append(
-                Ambiguity(
-                    _unit_subject(axis),
-                    "the same in the whole file",
-                    f"another one from {_span_text(part)} than from {_span_text(other)}",
-                    f"in the latter, {axis} moves in steps that are {largest / smallest:.0f} times as large; "
-                    "look up what changed within the file, and leave one part out with leave_out_s",
-                )
-            )
-    return result
+def _changed_unit(
+    axis: str, sizes: Sequence[tuple[Flight, float]], ratio: float, difference: str
+) -> list[Ambiguity]:
+    """Report a unit that changes if the `sizes` of two parts differ by more than this `ratio`.
 
-
-def _unit_subject(axis: str) -> str:
-    return f"{axis}'s unit in parts of the file"
+    `difference` states it, with ``{}`` for how many times the size is.
+    """
+    if not sizes:
+        return []
+    part, smallest = min(sizes, key=lambda pair: pair[1])
+    other, largest = max(sizes, key=lambda pair: pair[1])
+    if largest <= ratio * smallest:
+        return []
+    times = f"{largest / smallest:.0f} times"
+    return [
+        Ambiguity(
+            f"{axis}'s unit in parts of the file",
+            "the same in the whole file",
+            f"another one from {_span_text(part)} than from {_span_text(other)}",
+            f"in the latter, {axis} {difference.format(times)}; look up what changed within the file, and "
+            "leave one part out with leave_out_s",
+        )
+    ]
 
 
 def _span_text(part: Flight) -> str:
