@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import fnmatch
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -150,75 +151,57 @@ _SIZE_WORD = {1: "small", 2: "large"}
 
 def _cases_by_kind() -> Iterator[Case]:
     """Yield the cases by kind. Each later kind has its own range of seeds, which keeps earlier cases."""
-    seed = 1000
+    seeds = itertools.count(1001)
     for size in (2, 1):
-        for name, (maker, small, large) in LISTED.items():
-            seed += 1
-            value = (large if size == 2 else small) * _size_factor(seed)
-            yield Case(
-                f"{name}-{_SIZE_WORD[size]}",
-                effects=((name, value),),
-                unlisted=(),
-                seed=seed,
-                makers=(maker,),
-            )
+        for name, listed in LISTED.items():
+            yield _listed_case(name, listed, size, next(seeds))
         for number in range(_NOTHING // 2):
-            seed += 1
             yield Case(
                 f"nothing-{number + (2 - size) * _NOTHING // 2}",
                 effects=(),
                 unlisted=(),
-                seed=seed,
+                seed=next(seeds),
                 makers=(),
             )
-        for name, (maker, off_size) in OFF_LIST.items():
-            seed += 1
-            value = off_size * _OFF_FACTOR[size]
-            yield Case(
-                f"off-{name}-{_SIZE_WORD[size]}",
-                effects=(),
-                unlisted=((name, value),),
-                seed=seed,
-                makers=(maker,),
-            )
+        for name, off_list in OFF_LIST.items():
+            yield _unlisted_case(name, off_list, size, next(seeds))
         for names in _SEVERAL:
-            seed += 1
-            effects = tuple((name, float(np.mean(LISTED[name][1:]))) for name in names)
             yield Case(
                 "+".join(names) + f"-{size}",
-                effects,
+                effects=tuple((name, float(np.mean(LISTED[name][1:]))) for name in names),
                 unlisted=(),
-                seed=seed,
-                makers=tuple(LISTED[n][0] for n in names),
+                seed=next(seeds),
+                makers=tuple(LISTED[name][0] for name in names),
             )
     # Kinds that were added later: effects in another form, then further unlisted and listed effects.
-    seed = 1500
+    seeds = itertools.count(1501)
     for name, (effect, maker, value) in OTHER_FORMS.items():
-        seed += 1
-        yield Case(name, effects=((effect, value),), unlisted=(), seed=seed, makers=(maker,))
+        yield Case(name, effects=((effect, value),), unlisted=(), seed=next(seeds), makers=(maker,))
     for size in (2, 1):
-        for name, (maker, off_size) in MORE_OFF_LIST.items():
-            seed += 1
-            value = off_size * _OFF_FACTOR[size]
-            yield Case(
-                f"off-{name}-{_SIZE_WORD[size]}",
-                effects=(),
-                unlisted=((name, value),),
-                seed=seed,
-                makers=(maker,),
-            )
-    seed = 1600
+        for name, off_list in MORE_OFF_LIST.items():
+            yield _unlisted_case(name, off_list, size, next(seeds))
+    seeds = itertools.count(1601)
     for size in (2, 1):
-        for name, (maker, small, large) in MORE_LISTED.items():
-            seed += 1
-            value = (large if size == 2 else small) * _size_factor(seed)
-            yield Case(
-                f"{name}-{_SIZE_WORD[size]}",
-                effects=((name, value),),
-                unlisted=(),
-                seed=seed,
-                makers=(maker,),
-            )
+        for name, listed in MORE_LISTED.items():
+            yield _listed_case(name, listed, size, next(seeds))
+
+
+def _listed_case(name: str, listed: tuple[Maker, float, float], size: int, seed: int) -> Case:
+    """Make a case with one listed effect: its maker, and its small and its large size."""
+    maker, small, large = listed
+    value = (large if size == 2 else small) * _size_factor(seed)
+    return Case(
+        f"{name}-{_SIZE_WORD[size]}", effects=((name, value),), unlisted=(), seed=seed, makers=(maker,)
+    )
+
+
+def _unlisted_case(name: str, off_list: tuple[Maker, float], size: int, seed: int) -> Case:
+    """Make a case with one unlisted effect: its maker and its size."""
+    maker, off_size = off_list
+    value = off_size * _OFF_FACTOR[size]
+    return Case(
+        f"off-{name}-{_SIZE_WORD[size]}", effects=(), unlisted=((name, value),), seed=seed, makers=(maker,)
+    )
 
 
 def _size_factor(seed: int) -> float:
