@@ -16,6 +16,8 @@
    not. */
 #define LANES 4
 typedef double Lanes __attribute__((vector_size(LANES * sizeof(double))));
+/* A comparison of vectors: in each lane all bits are set, or none. */
+typedef long long Mask __attribute__((vector_size(sizeof(Lanes))));
 
 /* Compiled for wider vectors too where the loader can choose. Nothing is contracted: every machine
    finds the same numbers. */

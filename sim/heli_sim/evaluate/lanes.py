@@ -30,8 +30,6 @@ _VECTOR_OPERATIONS: Final = {
     "INV": "1.0 / {x}",
 }
 """Operations that C has for vectors, by their name in CasADi."""
-_MASK: Final = "typedef long long Mask __attribute__((vector_size(sizeof(Lanes))));\n"
-"""Type of a comparison of vectors: in each lane all bits are set, or none."""
 _SELECT: Final = "(Lanes)(((Mask)({condition}) & (Mask){yes}) | (~(Mask)({condition}) & (Mask){no}))"
 """In each lane `yes` if the condition holds, else `no`."""
 _TRUTH: Final = "(Lanes)((Mask)({condition}) & (Mask)all(1.0))"
@@ -75,7 +73,7 @@ _LANE_OPERATIONS: Final = {
         for name in ("FMIN", "FMAX", "FMOD", "COPYSIGN", "ATAN2", "HYPOT", "REMAINDER")
     },
 }
-"""Operations that are carried out lane by lane."""
+"""Operations on numbers, which vectors carry out lane by lane unless they have a better way."""
 _EXPRESSIONS: Final = {
     getattr(ca, f"OP_{name}"): (text, (_VECTOR_OPERATIONS | _MASK_OPERATIONS).get(name, ""))
     for name, text in (_VECTOR_OPERATIONS | _LANE_OPERATIONS).items()
@@ -114,7 +112,7 @@ def c_function(function: ca.Function) -> str:
         + [f"Lanes* r{i}" for i in range(function.n_out())]
     )
     body = "\n  ".join(lines)
-    return f"{_MASK}{_target()}static void {function.name()}({arguments}) {{\n  {body}\n}}\n"
+    return f"{_target()}static void {function.name()}({arguments}) {{\n  {body}\n}}\n"
 
 
 def _target() -> str:
