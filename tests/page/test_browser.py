@@ -44,7 +44,15 @@ from tests.page.browser import (
     tabs,
     until,
 )
-from tests.page.page_server import SHORT_PLAN, Served, page_of_a_simulated_board, patient_page, steady, tired
+from tests.page.page_server import (
+    SHORT_PLAN,
+    Served,
+    SocketPage,
+    page_of_a_simulated_board,
+    patient_page,
+    steady,
+    tired,
+)
 from tests.running.long import LONG, samples
 from tests.running.order import REAL_TIME
 from tests.web.pages import write_whole_page
@@ -493,6 +501,16 @@ def test_a_tab_that_is_reloaded_keeps_control(served: Served, window: Tabs) -> N
     window.open(served.address.page)
     page.reload()
     expect(page.locator("#control")).to_contain_text("You fly")
+
+
+def test_a_duplicated_tab_connects_again_with_the_id_that_the_server_gave_it(
+    served: Served, window: Tabs
+) -> None:
+    with SocketPage(served.address, "original"):
+        page = window.open(served.address.page)
+        page.evaluate("sessionStorage.setItem('client', 'original')")
+        page.reload()
+        until(page, "sessionStorage.getItem('client') != 'original'")
 
 
 def test_a_twin_s_alarm_is_a_red_bar(served: Served, window: Tabs, monkeypatch: pytest.MonkeyPatch) -> None:

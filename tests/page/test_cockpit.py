@@ -82,7 +82,7 @@ def test_a_closed_page_and_a_silent_page_are_different_causes() -> None:
     lease.join("a", "page 1", 0.0)
     assert lease.absence(PRESENT_S) == ""
     assert lease.absence(PRESENT_S + 0.1) == "the pilot's page does not answer"
-    lease.leave("a")
+    lease.leave("a", 1.0)
     assert lease.absence(0.0) == CLOSED
 
 
@@ -146,7 +146,7 @@ def test_a_pilot_is_present_as_long_as_the_last_sign_of_life_is_fresh() -> None:
 def test_a_pilot_who_left_is_absent_at_once_and_has_control_when_back() -> None:
     lease = lease_of_two_clients()
     lease.beat("a", 1.0)
-    lease.leave("a")
+    lease.leave("a", 1.0)
     assert not lease.present(1.0)
     assert lease.pilot == "a"
     assert lease.join("a", "page 3", 1.1)
@@ -166,7 +166,7 @@ def test_control_of_an_absent_pilot_can_be_taken_and_the_pilot_watches() -> None
 def test_who_asked_and_left_asks_no_more() -> None:
     lease = lease_of_two_clients()
     lease.ask("b", 0.1)
-    lease.leave("b")
+    lease.leave("b", 0.1)
     assert lease.asking is None
     assert not lease.answer("a", grant=True)
     assert lease.pilot == "a"
@@ -176,6 +176,16 @@ def test_an_id_that_is_connected_is_not_given_twice() -> None:
     lease = lease_of_two_clients()
     assert not lease.join("a", "page 3", 0.0)
     assert lease.count() == 2
+
+
+@pytest.mark.parametrize(("closed_s", "pilot"), [(0.1, "reloaded"), (5.0, "a")])
+def test_a_page_that_connects_before_its_predecessor_closes_keeps_control_and_a_duplicated_tab_gets_none(
+    closed_s: float, pilot: str
+) -> None:
+    lease = lease_of_two_clients()
+    assert lease.join("reloaded", "page 3", 0.0, reload_of="a")
+    lease.leave("a", closed_s)
+    assert lease.pilot == pilot
 
 
 @pytest.fixture

@@ -30,6 +30,10 @@ flight; with a longer one, a frozen page would keep the board flying for longer.
 ABSENT_S = 3.0
 """Absence of the pilot after which another client gets control without the pilot's answer [s]. Shorter: a
 page that is reloaded loses control. Longer: a dead page keeps control."""
+_RELOAD_S = 1.0
+"""Longest time from a page's connection to the end of an older one from the same tab that counts as a reload
+[s]. A browser may connect the new page milliseconds before the server sees the old socket close. Longer: a
+duplicated tab would get the control when the pilot closes the original."""
 _FRAME_S = 0.05
 """Interval between two frames to a client [s]: 20 frames per second look smooth."""
 _MAX_MESSAGE_ROWS = 5000
@@ -47,6 +51,8 @@ class _Client:
     name: str
     connected: bool
     beat_s: float  # Time of its last sign of life
+    joined_s: float
+    reload_of: str  # Key of the client of the same tab that was still connected; empty: none
 
 
 class ControlLease:
@@ -62,19 +68,25 @@ class ControlLease:
         self._clients: dict[str, _Client] = {}
         self._lock = threading.RLock()
 
-    def join(self, client: str, name: str, now_s: float, *, may_fly: bool = True) -> bool:
-        """Add a client. It becomes the pilot if there is none and `may_fly` is true."""
+    def join(
+        self, client: str, name: str, now_s: float, *, may_fly: bool = True, reload_of: str = ""
+    ) -> bool:
+        """Add a client, unless its key is connected. It becomes the pilot if there is none and `may_fly` is
+        true. `reload_of` is the key of a connected client of the same tab.
+        """
         with self._lock:
             registered = self._clients.get(client)
             if registered is not None and registered.connected:
                 return False
-            self._clients[client] = _Client(name, True, now_s)
+            self._clients[client] = _Client(name, True, now_s, now_s, reload_of)
             if self.pilot is None and may_fly:
                 self.pilot = client
             return True
 
-    def leave(self, client: str) -> None:
-        """Mark a client as disconnected and withdraw its request for control."""
+    def leave(self, client: str, now_s: float) -> None:
+        """Mark a client as disconnected and withdraw its request for control. If its page was reloaded, the
+        new page gets its control.
+        """
         # A disconnected pilot keeps the lease until another client asks for it, but counts as absent: no
         # setpoints are sent.
         with self._lock:
@@ -84,6 +96,10 @@ class ControlLease:
                 self.asking = None
             if client != self.pilot:
                 self._clients.pop(client, None)
+                return
+            for key, other in list(self._clients.items()):
+                if other.connected and other.reload_of == client and now_s - other.joined_s <= _RELOAD_S:
+                    self._grant(key)
 
     def beat(self, client: str, now_s: float) -> None:
         """Record a sign of life of a client."""

@@ -124,7 +124,7 @@ class Service:
             # Two tasks may fail together; asyncio prints a trace for an error that is not retrieved.
             await asyncio.gather(*tasks, return_exceptions=True)
             self._broadcast.remove(client)
-            self.lease.leave(client.key)
+            self.lease.leave(client.key, time.monotonic())
             self._broadcast.tell_all(lease_news(self.lease))
 
     def _client_tasks(self, client: Outbox) -> Iterator[Coroutine[Any, Any, None]]:
@@ -154,9 +154,9 @@ class Service:
         name = f"{'program' if is_program else 'page'} {self._client_count}"
         now_s = time.monotonic()
         if not self.lease.join(key, name, now_s, may_fly=not is_program):
-            # A duplicated browser tab has the same id as the original.
-            key = secrets.token_hex(8)
-            self.lease.join(key, name, now_s, may_fly=not is_program)
+            # A duplicated browser tab, or a page that is reloaded, has the same key as the original.
+            tab, key = key, secrets.token_hex(8)
+            self.lease.join(key, name, now_s, may_fly=not is_program, reload_of=tab)
         client = Outbox(socket, key, name)
         client.wants_rows = query.get("rows") != "0"
         return client

@@ -12,12 +12,8 @@ function address(path, more = {}) {
 
 // An id that outlives reloading the page, so that its control lease stays valid.
 function ownId() {
-  let id = sessionStorage.getItem("client");
-  if (!id) {
-    id = Array.from(crypto.getRandomValues(new Uint8Array(8)), (b) => b.toString(16).padStart(2, "0")).join("");
-    sessionStorage.setItem("client", id);
-  }
-  return id;
+  return sessionStorage.getItem("client") ||
+    Array.from(crypto.getRandomValues(new Uint8Array(8)), (b) => b.toString(16).padStart(2, "0")).join("");
 }
 
 export function unpack(buffer) {
@@ -49,7 +45,13 @@ export class Link {
       else if (data.open) this.opened(data.cameMs);
       else this.closed();
     };
-    this.socket.postMessage({ address: address("/ws", { client: ownId() }) });
+    this.connectAs(ownId());
+  }
+
+  // Connects, or names this page differently when it connects again.
+  connectAs(client) {
+    sessionStorage.setItem("client", client);
+    this.socket.postMessage({ address: address("/ws", { client }) });
   }
 
   opened(cameMs) {
@@ -68,7 +70,11 @@ export class Link {
     if ("answer" in words) {
       this.waiting.get(words.answer)?.(words);
       this.waiting.delete(words.answer);
-    } else this.onWords(words, cameMs);
+    } else {
+      // The server gives another id while the page before a reload, or the original of a duplicated tab, is connected.
+      if (words.hello) this.connectAs(words.hello.you);
+      this.onWords(words, cameMs);
+    }
   }
 
   ask(name, more = {}) {

@@ -5,7 +5,7 @@ const SIGN_MS = 100;
 const STALE_MS = 600; // as in main.js
 const DRIFT = 1e-4; // between the clocks of two computers
 let offsetMs = Infinity, heardMs = 0; // from the server's clock to this one, by the status that was fastest
-let socket = null, shown = 0, shownMs = -Infinity, signedMs = -Infinity;
+let address = "", socket = null, shown = 0, shownMs = -Infinity, signedMs = -Infinity;
 
 function sign() {
   if (socket?.readyState !== WebSocket.OPEN) return;
@@ -26,7 +26,7 @@ function take(text, nowMs) {
   return { words, cameMs };
 }
 
-function open(address) {
+function open() {
   socket = new WebSocket(address);
   socket.binaryType = "arraybuffer";
   offsetMs = Infinity;
@@ -36,12 +36,15 @@ function open(address) {
   socket.onclose = () => {
     [shown, shownMs] = [0, -Infinity]; // numbers of frames begin again
     postMessage({ open: false });
-    setTimeout(() => open(address), 500);
+    setTimeout(open, 500);
   };
 }
 
 onmessage = ({ data }) => {
-  if (data.address) open(data.address);
+  if (data.address) {
+    address = data.address;
+    if (!socket) open();
+  }
   else if (data.text) socket.send(data.text);
   else {
     [shown, shownMs] = [data.shown, performance.now()];
