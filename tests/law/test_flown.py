@@ -11,7 +11,7 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
-from heli_host.board.law_flight import engage, loaded
+from heli_host.board.law_flight import engage, loaded, takeover_since
 from heli_host.board.law_program import LawProgram
 from heli_host.data.response import responses
 from heli_host.declaration import (
@@ -135,6 +135,9 @@ def test_the_reason_for_a_takeover_is_the_one_that_was_provoked(
         report = heli.fly_law(law.program, duration_s=10.0)
         assert report.taken_over == reason, str(report)
         heli.wait(CALM_s)
+        # The next law is not taken over for the same reason only because its own event is late.
+        assert takeover_since(heli, 0) == (reason, report.value)
+        assert takeover_since(heli, heli.latest.tick) is None
         assert heli.state is heli_host.State.CLOSED_LOOP
         assert abs(heli.latest.elevation_deg) < 1.0
 

@@ -410,9 +410,11 @@ def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
     return (Takeover(message.detail).name.lower() if known else f"reason {message.detail}"), message.value
 
 
-def _newest_takeover(heli: Vehicle) -> tuple[str, float] | None:
-    """Return reason and value of the newest takeover by the board; None if no event reported any."""
-    reasons = [text for event in heli.session.events if (text := takeover_text(event))]
+def takeover_since(heli: Vehicle, tick: int) -> tuple[str, float] | None:
+    """Return reason and value of the board's newest takeover from a tick on; None without such an event."""
+    # An event may arrive late: an older one would give the reason for which an earlier law was taken over.
+    events = [event for event in heli.session.events if event.tick >= tick]
+    reasons = [text for event in events if (text := takeover_text(event))]
     return reasons[-1] if reasons else None
 
 
@@ -438,7 +440,7 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
 
     heli.wait_until(has_engaged, _ENGAGED_TIMEOUT_S)
     if not law_ticks:
-        takeover = _newest_takeover(heli)
+        takeover = takeover_since(heli, start)
         reason = f": {takeover[0]} ({takeover[1]:.4g})" if takeover else ""
         raise FlightAborted(
             f"control law {program.name} was taken over immediately{reason}",
@@ -470,7 +472,7 @@ def fly_law(
     else:
         # The board took over. Telemetry shows this slightly before the event with the reason arrives.
         heli.wait(0.1)
-        reason, value = _newest_takeover(heli) or ("unknown", 0.0)
+        reason, value = takeover_since(heli, first_tick) or ("unknown", 0.0)
     report = LawReport(
         program.name, program.hash, flown_s=(last.tick - first_tick) * 1e-3, taken_over=reason, value=value
     )
