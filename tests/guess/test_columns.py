@@ -292,6 +292,26 @@ def test_without_names_the_motion_proposes_columns_and_asks_for_a_profile() -> N
 
 
 @pytest.mark.medium
+def test_a_counter_of_rows_is_no_angle_and_no_voltage_if_the_rate_is_given() -> None:
+    table = renamed(flight_table(), t="x5", elevation="x4", pitch="x2", travel="x0", front="x3", back="x1")
+    counted = replace(table, columns={**table.columns, "x5": Column(np.arange(len(table), dtype=float))})
+    options = column_options([prepare_file(counted, REFERENCE, 200.0)], NOTHING_KNOWN)
+    assert options.left_out["x5"] == "a counter of rows"
+    assert options.columns() == ["x4", "x2", "x0", "x3", "x1"]
+
+
+@pytest.mark.medium
+def test_two_motors_that_resemble_each_other_are_no_copies_if_their_amplifiers_limit_them() -> None:
+    front_V = piloted("quanser-course", "travel", 3, 25.0).flight.voltages_V[:, 0]
+    limit_V = float(np.quantile(front_V, 0.9))
+    motors = {"x3": np.minimum(front_V, limit_V), "x1": np.minimum(low_passed(front_V, 0.03, 1e-3), limit_V)}
+    table = flight_table(**motors)
+    kept = {name: column for name, column in table.columns.items() if name not in ("front", "back")}
+    options = options_of(renamed(replace(table, columns=kept), elevation="x4", pitch="x2", travel="x0"))
+    assert {"x1", "x3"} <= set(options.by_role["front"])
+
+
+@pytest.mark.medium
 def test_without_names_a_file_without_travel_is_refused() -> None:
     table = flight_table()
     t_s = table.columns["t"].values

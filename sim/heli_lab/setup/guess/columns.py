@@ -60,6 +60,10 @@ _FIX: Final = (
 )
 _MAX_COLUMNS: Final = 14
 """Largest number of columns without names that are compared by the motion."""
+_COUNTING_SHARE: Final = 0.9
+"""Share of equal steps from which on whole numbers count rows; missing rows make longer steps."""
+_LIMITED_SHARE: Final = 0.01
+"""Share of the rows at the largest value from which on a column is limited there, as by an amplifier."""
 _DUPLICATE_CORRELATION: Final = 0.99999
 """Absolute correlation above which two columns are the same signal, in another unit or with another sign."""
 _FILTER_LAGS_S: Final = tuple(round(0.01 * number, 2) for number in range(-20, 21))
@@ -319,6 +323,8 @@ def _sorted_by_meaning(
             left_out[name] = "not in every file"
         elif any(np.ptp(file.signals.raw[name]) == 0.0 for file in files):
             left_out[name] = "constant"
+        elif not meaning.role and _counts_rows(first.table.columns[name].values):
+            left_out[name] = "a counter of rows"
         elif meaning.quantity:
             left_out[name] = meaning.quantity
         elif meaning.role in known_roles:
@@ -332,6 +338,14 @@ def _sorted_by_meaning(
         measured = [name for name in columns if meanings[name].is_measured]
         named[role] = _without_copies(first.signals, columns, measured, left_out)
     return named, free, left_out
+
+
+def _counts_rows(values: Floats) -> bool:
+    """Whether whole numbers rise by the same step nearly everywhere, which no angle and no voltage does."""
+    steps = np.diff(values)
+    step = float(np.median(steps))
+    is_whole = step >= 1.0 and step.is_integer()
+    return is_whole and float(np.mean(steps == step)) > _COUNTING_SHARE
 
 
 def _keep_motors_or_sums(named: dict[str, list[str]], left_out: dict[str, str]) -> bool:
@@ -401,7 +415,11 @@ def _without_rates(
             if not {name, other} <= motors and roles.intersection(meanings[other].possible_roles)
         ]
         copied = next((other for other in others if _are_copies(signals, name, other)), None)
-        lags_s = {other: _filter_lag_s(signals, name, other) for other in others if name not in motors}
+        lags_s = {
+            other: _filter_lag_s(signals, name, other)
+            for other in others
+            if name not in motors and not _share_limit(file.table, name, other)
+        }
         origin = next((other for other, lag_s in lags_s.items() if lag_s is not None), None)
         if copied is not None:
             left_out[name] = f"the same as {copied}"
@@ -423,6 +441,16 @@ def _without_rates(
 def _are_copies(signals: Signals, name: str, other: str) -> bool:
     """Whether two columns are the same signal, in another unit or with another sign."""
     return abs_correlation(signals.raw[name], signals.raw[other]) > _DUPLICATE_CORRELATION
+
+
+def _share_limit(table: Table, name: str, other: str) -> bool:
+    """Whether two columns often have the same largest value, as motors in a flight that hardly pitches. A
+    filtered copy reaches the limits of its origin seldom.
+    """
+    limits = [table.columns[each].values for each in (name, other)]
+    largest = [float(np.nanmax(values)) for values in limits]
+    at_limit = [float(np.mean(values == largest[0])) for values in limits]
+    return largest[0] == largest[1] and min(at_limit) > _LIMITED_SHARE
 
 
 def _filter_lag_s(signals: Signals, name: str, origin: str) -> float | None:
