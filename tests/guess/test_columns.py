@@ -304,8 +304,8 @@ def test_a_counter_of_rows_is_no_angle_and_no_voltage_if_the_rate_is_given() -> 
 def test_two_motors_that_resemble_each_other_are_no_copies_if_their_amplifiers_limit_them() -> None:
     front_V = piloted("quanser-course", "travel", 3, 25.0).flight.voltages_V[:, 0]
     limit_V = float(np.quantile(front_V, 0.9))
-    motors = {"x3": np.minimum(front_V, limit_V), "x1": np.minimum(low_passed(front_V, 0.03, 1e-3), limit_V)}
-    table = flight_table(**motors)
+    similar_V = low_passed(front_V, 0.03, 1e-3)
+    table = flight_table(x3=np.minimum(front_V, limit_V), x1=np.minimum(similar_V, limit_V))
     kept = {name: column for name, column in table.columns.items() if name not in ("front", "back")}
     options = options_of(renamed(replace(table, columns=kept), elevation="x4", pitch="x2", travel="x0"))
     assert {"x1", "x3"} <= set(options.by_role["front"])
