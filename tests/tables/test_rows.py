@@ -7,12 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+import heli_host
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
+from heli_host.data.log.reader import read_flight
 from heli_host.data.tables import Angle, Column, Conversion, Profile, Table, Voltage, convert, read_table
 from heli_host.data.tables.rows import spikes, timed_rows
 from heli_host.errors import FlightDataError
+from heli_host.fly.plan import Plan
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -344,6 +347,21 @@ def test_a_link_that_freezes_is_left_out_although_no_angle_jumps(tmp_path: Path)
     settled = values.copy()
     settled[380:400, :2] = values[400, :2]
     assert actions(converted(tmp_path, lines(T_S, settled))) == set()
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("thinned", [1, 5, 20])
+def test_a_calm_hover_whose_counts_and_duties_stay_the_same_for_seconds_is_no_failed_link(
+    thinned: int, tmp_path: Path
+) -> None:
+    plan = Plan.parse('title = "x"\n[[segment]]\nkind = "hold"\nduration_s = 20\n', "hover")
+    with heli_host.connect("sil://?speed=max") as heli:
+        heli.fly(plan, log=tmp_path / "hover.mcap")
+    flight = read_flight(tmp_path / "hover.mcap")
+    values = np.column_stack((flight.voltages_V, np.degrees(flight.angles_rad)))[::thinned]
+    conversion = converted(tmp_path, lines(flight.t_s[::thinned], values))
+    assert not conversion.changes
+    assert [len(part) for part in conversion.flights] == [len(values)]
 
 
 def test_a_rest_after_the_jump_of_a_failed_link_is_none_of_it(tmp_path: Path) -> None:

@@ -70,6 +70,10 @@ leaves its rest with a step that is smaller than the next ones."""
 _MOVING_SHARE: Final = 0.5
 """Share of its mean speed with which an angle moves when its link fails for good; an arm that settles is
 slower. Set by judgement: a higher share misses links that fail near a turning point."""
+_MOVING_STEPS: Final = 8
+_MOVING_ROWS: Final = 0.75
+"""Changes of an angle in `_STAND_S` from which on the arm moves, at most this share of the rows. A simulated
+hover without disturbances has up to 4."""
 _OFF_TABLE_DEG: Final = 2.0
 _ALOFT_DEG: Final = 5.0
 """Height above the lowest elevation from which the arm does not rest on the table, and from which it is
@@ -413,7 +417,7 @@ def _standing(rows: _Rows) -> Booleans:
                 fails = enters and leaves
             if fails:
                 result[start + (not enters) : stop] = True
-    return result | _frozen(t_s, angles, volts)
+    return result | _frozen(motion)
 
 
 def _rests_s(t_s: Floats, values: Floats) -> Floats:
@@ -426,25 +430,33 @@ def _rests_s(t_s: Floats, values: Floats) -> Floats:
     return result
 
 
-def _frozen(t_s: Floats, angles: Floats, volts: Floats) -> Booleans:
-    """Mark rows in the air that repeat all angles and voltages, although the voltages change until then, and
-    again after that. Under feedback, voltages settle before they stand still.
-
-    Shapes: `t_s` (n,), `angles` (n, 3), `volts` (n, 2).
+def _frozen(motion: _Motion) -> Booleans:
+    """Mark rows in the air that repeat all angles and voltages, although they change until then, and again
+    after that. Under feedback, voltages settle before they stand still. Returns shape (n,).
     """
+    t_s, volts, step_rad = motion.t_s, motion.volts, motion.step_rad
     result = np.zeros(t_s.size, bool)
     steps_V = np.diff(volts, axis=0)
-    aloft_rad = angles[:, 0].min(initial=np.inf) + np.radians(_OFF_TABLE_DEG)
-    for start, stop in equal_runs(t_s, np.column_stack((angles, volts))):
-        if t_s[stop - 1] - t_s[start] < _FROZEN_S or angles[start, 0] < aloft_rad:
+    aloft_rad = motion.lowest_rad + np.radians(_OFF_TABLE_DEG)
+    for start, stop in equal_runs(t_s, np.column_stack((motion.angles_rad, volts))):
+        if t_s[stop - 1] - t_s[start] < _FROZEN_S or motion.angles_rad[start, 0] < aloft_rad:
             continue
         first, last = np.searchsorted(t_s, (t_s[start] - _STAND_S, t_s[stop - 1] + _STAND_S)).tolist()
+        sides = slice(first, max(start - 1, first)), slice(stop, last)
         result[start + 1 : stop] = all(
-            is_active(part, steps_V[:, motor])
+            _moves(step_rad[side]) and is_active(steps_V[side, motor], steps_V[:, motor])
             for motor in range(volts.shape[1])
-            for part in (steps_V[first : max(start - 1, first), motor], steps_V[stop:last, motor])
+            for side in sides
         )
     return result
+
+
+def _moves(steps_rad: Floats) -> bool:
+    """Whether an angle changes often. Without disturbances, counts and duties of a hover may stay the same
+    for seconds, between single counts. Shapes: `steps_rad` (n, 3).
+    """
+    changes = (steps_rad > 0.0).sum(axis=0).max()
+    return bool(changes >= min(_MOVING_STEPS, _MOVING_ROWS * len(steps_rad)))
 
 
 def _standing_change(t_s: Floats, stands: Booleans) -> RowChange:
