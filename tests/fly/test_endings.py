@@ -325,6 +325,16 @@ def test_a_short_arm_that_drifts_before_the_take_off_has_no_rest_to_compare_with
             assert np.isnan(RestAngles.of(heli.latest, seen, COUNT_DEG).pitch_deg) == is_moving
 
 
+def test_a_short_arm_that_drifts_is_armed_at_any_time() -> None:
+    with heli_host.connect("sil://?rig=makki2024-identified&speed=max") as heli:
+        heli.wait(2.2)
+        # A count comes every 0.14 s, and looks like the highest rate with which the board arms.
+        for _ in range(40):
+            heli.arm()
+            heli.stop()
+            heli.wait(0.009)
+
+
 def test_an_arm_that_floats_up_without_voltage_is_not_accused() -> None:
     floating = after(lambda t_s: -23.7 + np.minimum(5.0, 3.0 * t_s), 0.0)
     assert BEFORE.shift_after(floating) == ""

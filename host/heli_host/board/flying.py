@@ -19,11 +19,12 @@ from heli_host.declaration import (
     ArmMessage,
     Axes,
     ControlMessage,
+    Fault,
     SetpointMessage,
     State,
     StopMessage,
 )
-from heli_host.errors import FlightAborted, SetpointError, fault_text
+from heli_host.errors import CommandRefused, FlightAborted, SetpointError, fault_text
 from heli_host.link.clock import TICK_S
 from heli_host.link.engine import UNNUMBERED
 from heli_host.link.telemetry import Ticks
@@ -99,6 +100,10 @@ _CLIMB_SPARE_S = 20.0
 _REST_S = 2.0
 """Length of the look at the angles before the take-off [s]. In half a second, a short arm that drifts at
 0.2 deg/s, because nothing brings it back to a rest, turns by one count only."""
+_STILL_S = 0.5
+_STILL_RETRY_S = 0.05
+"""Time for which arming is tried while an axis moves, and the pause between two tries [s]. A single count of
+a short arm that drifts slowly looks like 3 deg/s, which is the limit, for a few ticks."""
 _REACHED_DEG = 2.0
 _REACHED_FOR_S = 0.3
 _FOLLOWING = (State.CLOSED_LOOP, State.HOLD)
@@ -135,9 +140,21 @@ class Flying:
         """Remember the angles at rest, and let the board run its checks and enable the motor drivers."""
         pitch_count_deg = 360.0 / abs(self.params["pitch_counts_per_rev"])
         at_rest = RestAngles.of(self.telemetry.latest, self._samples_at_rest(), pitch_count_deg)
-        self.session.command(ArmMessage(UNNUMBERED))
+        self._arm_when_still()
         self.at_rest = at_rest
         self.session.wait_for_state(State.ARMED)
+
+    def _arm_when_still(self) -> None:
+        """Send the command; again for a moment if the board refuses it because an axis moves."""
+        end_tick = self.telemetry.latest.tick + _STILL_S / TICK_S
+        while True:
+            try:
+                self.session.command(ArmMessage(UNNUMBERED))
+                return
+            except CommandRefused as refused:
+                if refused.fault is not Fault.MOVING or self.telemetry.latest.tick >= end_tick:
+                    raise
+            self.session.wait(_STILL_RETRY_S)
 
     def _samples_at_rest(self) -> Samples:
         """Return the samples before the take-off; wait for some more if pitch changes, as it may drift."""
