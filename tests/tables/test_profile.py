@@ -243,7 +243,8 @@ def test_a_logged_direction_gives_sizes_their_sign(tmp_path: Path) -> None:
     assert read_profile(path).voltages == profile.voltages
 
 
-def test_a_logged_supply_scales_shares_row_by_row(tmp_path: Path) -> None:
+@pytest.mark.parametrize("is_alone", [False, True])
+def test_a_logged_supply_scales_shares_row_by_row(is_alone: bool, tmp_path: Path) -> None:
     t_s: Floats = 0.01 * np.arange(300, dtype=np.float64)
     duty = 50.0 + 10.0 * np.sin(3.0 * t_s)
     supply_V = np.linspace(12.0, 10.0, t_s.size)
@@ -256,6 +257,10 @@ def test_a_logged_supply_scales_shares_row_by_row(tmp_path: Path) -> None:
         "back": Column(duty),
         "Vbat": Column(1e3 * logged, "mV"),
     }
+    if is_alone:
+        # The rows of the supply lack the others.
+        for name in columns.keys() - {"t", "Vbat"}:
+            columns[name].values[::2] = np.nan
     share = {"unit": "percent", "supply_column": "Vbat"}
     content: dict[str, Any] = {axis: {"column": axis} for axis in ("elevation", "pitch", "travel")}
     content |= {
@@ -267,7 +272,8 @@ def test_a_logged_supply_scales_shares_row_by_row(tmp_path: Path) -> None:
     profile = profile_of(content, "x.toml")
     (flight,) = flights_of(Table("x.csv", columns), profile)
     # Each second row has the supply of the row before.
-    np.testing.assert_allclose(flight.front_V, duty / 100.0 * np.repeat(supply_V[::2], 2))
+    expected_V = duty / 100.0 * np.repeat(supply_V[::2], 2)
+    np.testing.assert_allclose(flight.front_V, expected_V[1::2] if is_alone else expected_V)
     path = tmp_path / "x.toml"
     path.write_text(profile_text(profile), encoding="utf-8")
     assert read_profile(path).voltages == profile.voltages

@@ -104,6 +104,10 @@ LINES = {
         f"rig,lab=a x={x},y={y},n\\,\\ s={t},k=5i,m=7i {1_700_000_000_000_000_000 + round(t * 1e9)}"
         for t, x, y in zip(T_S, X, Y, strict=True)
     ],
+    "dictionaries of Python": [
+        repr({"timestamp": round(t, 3), "x": x, "n": None, "y": float(y)})
+        for t, x, y in zip(T_S, X, Y, strict=True)
+    ],
     "JSON": [f'{{"timestamp": {t:.3f}, "x": {x}, "y": {y}}}' for t, x, y in zip(T_S, X, Y, strict=True)],
 }
 
@@ -270,6 +274,23 @@ def test_one_value_per_row_with_the_name_of_its_signal(
     table = read_table(path)
     assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)
+
+
+@pytest.mark.parametrize("form", ["({})", "{}-"])
+def test_negative_numbers_of_accountants(form: str, tmp_path: Path) -> None:
+    columns = [[f"{v:.4f}" if v >= 0.0 else form.format(f"{-v:.4f}") for v in values] for values in (X, Y)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t,x,y", *map(",".join, zip(T_S.astype(str), *columns, strict=True))]))
+    assert_same_columns(read_table(path))
+
+
+def test_numbers_in_two_notations_are_no_column_of_numbers(tmp_path: Path) -> None:
+    # Four hexadecimal digits may look like a number.
+    words = [f"{round(100.0 * x) % 65536:04X}" for x in X]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t,x,y", *(f"{t},{x},{y}" for t, x, y in zip(T_S, words, Y, strict=True))]))
+    table = read_table(path)
+    assert "x" not in table.columns and table.unread["x"] in words
 
 
 def test_exponents_of_fortran(tmp_path: Path) -> None:

@@ -113,6 +113,16 @@ def two_rates(rows: list[str]) -> list[str]:
     return result
 
 
+def slow_wrapped_angles(rows: list[str]) -> list[str]:
+    result = []
+    for row, line in enumerate(rows):
+        time, front, back, elevation, pitch, travel = line.split(",")
+        result.append(f"{time},{front},{back},,,")
+        wrapped_deg = (float(travel) + 270.0) % 360.0 - 270.0
+        result += [f"{float(time):.4f},,,{elevation},{pitch},{wrapped_deg:.4f}"] if row % 2 == 0 else []
+    return result
+
+
 REPAIRS: Final[dict[str, tuple[Callable[[list[str]], list[str]], int]]] = {
     "neighbours exchanged": (swapped, N),
     "blocks exchanged": (blocks_swapped, N),
@@ -128,6 +138,7 @@ REPAIRS: Final[dict[str, tuple[Callable[[list[str]], list[str]], int]]] = {
     "merged lines": (merged, N),
     "header again": (lambda rows: [*rows[:700], HEADER, *rows[700:]], N),
     "two rates": (two_rates, N - 1),
+    "slow angles that wrap": (slow_wrapped_angles, N - 1),
 }
 
 
@@ -179,6 +190,15 @@ TEXTS: Final = {
     ),
     "compact date": (
         [f"20260102_2359{50 + t:06.3f}" if t < 10 else f"20260103_0000{t - 10:06.3f}" for t in T_S],
+        "s",
+    ),
+    "milliseconds without zeros": ([f"03:04:{int(t):02d}.{round(1e3 * t) % 1000}" for t in T_S], "s"),
+    "milliseconds without zeros, dated": (
+        [f"2026-05-06 03:04:{int(t):02d}.{round(1e3 * t) % 1000}" for t in T_S],
+        "s",
+    ),
+    "no zeros at the end": (
+        [f"03:04:{int(t):02d}.{f'{round(1e3 * t) % 1000:03d}'.rstrip('0') or '0'}" for t in T_S],
         "s",
     ),
     "durations": ([f"0 days 00:00:{t:09.6f}" for t in T_S], "s"),
@@ -397,6 +417,16 @@ def test_one_damaged_value_of_an_angle_that_hardly_moves_is_a_spike() -> None:
     values: Floats = np.round(0.003 * np.arange(1500.0))
     values[700] = 1e6
     assert np.flatnonzero(spikes(values)).tolist() == [700]
+
+
+def test_the_number_that_a_program_writes_instead_of_a_value_is_no_value_near_it() -> None:
+    values = VALUES[:, 2].copy()
+    without_reading = np.arange(20, N, 61)
+    values[without_reading] = -1.0
+    is_spike = spikes(values)
+    assert set(np.flatnonzero(is_spike)) <= set(without_reading)
+    # Between its neighbours, the number is as near to the value as they are.
+    assert np.abs(values - VALUES[:, 2])[~is_spike].max() < 0.1
 
 
 def test_damaged_lines_leave_the_times_of_a_given_rate_alone(tmp_path: Path) -> None:

@@ -161,7 +161,9 @@ def _settled(table: Table, profile: Profile) -> tuple[Table, Floats]:
     """Return the rows with times [s] and all columns of a profile, in order, with what was done to them."""
     angles = frozenset(angle.column for angle in profile.angles.values())
     setpoints = frozenset(angle.column for angle in profile.setpoints.values())
+    beside = [(v.sign_column, v.supply_column * (v.unit in SHARES)) for v in profile.voltages.values()]
     voltages = frozenset(voltage.column for voltage in profile.voltages.values())
+    voltages |= frozenset(itertools.chain(*beside)) - {""}
     for name in (*angles, *setpoints, *voltages):
         _values_of_column(table, name)
     used = {*angles, *setpoints, *voltages}
@@ -567,6 +569,12 @@ def _gap_note(t_s: Floats, count: int) -> dict[str, str]:
 
 def _values_of_column(table: Table, name: str) -> Floats:
     """Return the values of a column; an error suggests a name that is similar."""
+    if name in table.unread:
+        raise FlightDataError(
+            f"{table.source}: the column '{name}' has cells that are not numbers, such as "
+            f"'{table.unread[name]}'",
+            "write its numbers in one notation",
+        )
     if name not in table.columns:
         close = difflib.get_close_matches(name, table.columns, n=1)
         hint = f"did you mean '{close[0]}'? " if close else ""

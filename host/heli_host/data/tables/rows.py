@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from heli_host.data.arrays import Booleans, Floats, Integers
-from heli_host.data.tables.table import TIME_UNITS, RowChange, Table
+from heli_host.data.tables.table import TIME_UNITS, RowChange, Table, interpolated_angle
 from heli_host.errors import FlightDataError
 
 NO_CLOCK: Final = "give a column of times, or the sampling rate with --rate"
@@ -60,6 +60,8 @@ _SPIKE_STEPS: Final = 8.0
 4 % of the steps large. Measured columns have up to 4 times their 99 % quantile."""
 _MAX_SPIKES: Final = 0.02
 """Largest share of spikes; a column with more is a signal that switches."""
+_MIN_SUBSTITUTES: Final = 5
+"""Smallest number of spikes with the same number, from which on a program writes it instead of a value."""
 _NEAR_ROWS: Final = 8
 """Rows before and after a pair in which the rig has to move for the pair to count as evidence."""
 
@@ -676,7 +678,7 @@ def _carried(values: Floats, t_s: Floats, known: Booleans, is_held: bool, max_mi
     after = np.searchsorted(at, rows, side="left")
     has_last, has_next = last >= 0, after < at.size
     last, after = np.clip(last, 0, None), np.clip(after, None, at.size - 1)
-    filled: Floats = values[at[last]] if is_held else np.interp(t_s, t_s[at], values[at])
+    filled: Floats = values[at[last]] if is_held else interpolated_angle(t_s, t_s[at], values[at])
     distance_s = (t_s if is_held else t_s[at[after]]) - t_s[at[last]]
     usable = has_last & (has_next | is_held) & (distance_s <= max_missing * interval_s) & (distance_s >= 0.0)
     result: Floats = np.where(usable | known, filled, np.nan)
@@ -703,8 +705,23 @@ def spikes(values: Floats) -> Booleans:
     is_spike = np.minimum(steps[:-1], steps[1:]) > _SPIKE_STEPS * typical
     is_spike &= np.abs(values[2:] - values[:-2]) <= 3.0 * typical
     if typical > 0.0 and is_spike.sum() < _MAX_SPIKES * values.size:
-        result[1:-1] = is_spike
+        result[1:-1] = is_spike | _is_substitute(values, is_spike)
     return result
+
+
+def _is_substitute(values: Floats, is_spike: Booleans) -> Booleans:
+    """Mark single rows with the number that a program writes instead of a value, such as -1 or 999: spikes
+    share it, and its other rows may be close to their neighbours. Shapes: (n,), `is_spike` (n - 2,).
+    """
+    numbers, counts = np.unique(values[1:-1][is_spike], return_counts=True)
+    result = np.zeros(is_spike.size, bool)
+    if counts.max(initial=0) < _MIN_SUBSTITUTES:
+        return result
+    before, number, after = values[:-2], values[1:-1], values[2:]
+    away, back = number - before, number - after
+    # Between its neighbours, the number may be the value.
+    result |= (number == numbers[counts.argmax()]) & (away * back > 0.0)
+    return result if result.mean() < _MAX_SPIKES * 2.0 else np.zeros(is_spike.size, bool)
 
 
 def is_active(part: Floats, whole: Floats) -> bool:

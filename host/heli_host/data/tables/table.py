@@ -39,6 +39,9 @@ _SIMULTANEOUS: Final = 0.25
 """Time by which a value may come after a row and still belong to it, as a share of the shorter interval.
 Messages of one moment reach a recorder in changing order; without this, half of the rows would have the value
 of the row before."""
+_WRAP_SHARE: Final = 0.5
+_MAX_WRAPS: Final = 0.05
+"""Share of a column's range that a step exceeds at a wrap, and largest share of such steps."""
 _MAX_PAUSES: Final = 0.01
 """Share of longer pauses above which a signal is one that programs send only when it changes."""
 
@@ -78,7 +81,7 @@ class Table:
     named: bool = True  # Whether the file contains the names
     changes: tuple[RowChange, ...] = ()  # Rows of the file that were left out or repaired so far
     unread: Mapping[str, str] = field(default_factory=dict)
-    """A cell of each column that contains neither numbers nor times, by the column's name."""
+    """A cell of each column that contains other texts than numbers or times, by the column's name."""
     places: Integers | None = None
     """(n,): Place of each row in the file, if damaged lines were left out; otherwise None."""
 
@@ -145,7 +148,7 @@ def _at_times(values: Floats, value_times_s: Floats, t_s: Floats, is_interpolate
     shortest_s = float(min(np.median(intervals_s), np.median(np.diff(t_s)))) if intervals_s.size else 0.0
     due_s = t_s + _SIMULTANEOUS * max(shortest_s, 0.0)
     last_rows = np.clip(np.searchsorted(value_times_s, due_s, side="right") - 1, 0, None)
-    result: Floats = np.interp(t_s, value_times_s, values) if is_interpolated else values[last_rows]
+    result: Floats = interpolated_angle(t_s, value_times_s, values) if is_interpolated else values[last_rows]
     if not intervals_s.size:
         return result
     longest_s = _MAX_AGE * float(np.median(intervals_s))
@@ -153,6 +156,26 @@ def _at_times(values: Floats, value_times_s: Floats, t_s: Floats, is_interpolate
         return result
     current: Floats = np.where(t_s - value_times_s[last_rows] > longest_s, np.nan, result)
     return current
+
+
+def interpolated_angle(t_s: Floats, value_times_s: Floats, values: Floats) -> Floats:
+    """Interpolate an angle linearly; where its counter starts again, it goes on as before and after.
+    Shapes: `t_s` (n,), `value_times_s` (k,), `values` (k,); returns (n,).
+    """
+    line: Floats = np.interp(t_s, value_times_s, values)
+    steps = np.diff(values)
+    # A wrap crosses nearly the whole range of the column.
+    is_wrap = np.abs(steps) > _WRAP_SHARE * np.ptp(values)
+    if not is_wrap.any() or is_wrap.mean() > _MAX_WRAPS:
+        return line
+    before = np.clip(np.searchsorted(value_times_s, t_s, side="right") - 1, 0, steps.size - 1)
+    step = np.where(is_wrap, np.roll(np.where(is_wrap, 0.0, steps), 1), steps)[before]
+    intervals_s = np.maximum(np.diff(value_times_s), np.finfo(np.float64).tiny)
+    share = np.clip((t_s - value_times_s[before]) / intervals_s[before], 0.0, 1.0)
+    continued = np.where(
+        share < 0.5, values[before] + share * step, values[before + 1] - (1.0 - share) * step
+    )
+    return np.where(is_wrap[before], continued, line)
 
 
 def _rows_before_trailing_zeros(columns: list[Floats]) -> int:
@@ -223,6 +246,7 @@ _SPELLINGS: Final = {
     "°C": ("°c", "degc", "celsius"),
     "rpm": ("rpm", "1/min", "u/min"),
     "N": ("n", "newton"),
+    "W": ("w", "mw", "watt", "watts"),
     "Nm": ("nm", "n m", "n*m"),
 }
 _UNIT_OF: Final = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
@@ -352,6 +376,7 @@ def _clock_seconds(text: pandas.Series) -> Floats:
 
     # LabVIEW writes milliseconds after a third colon.
     text = text.str.replace(r"^(\d+:\d+:\d+):(\d+)$", r"\1.\2", regex=True)
+    text = _with_padded_fractions(text)
     fields = text.str.split(":", expand=True).apply(pandas.to_numeric, errors="coerce")
     counts = fields.notna().sum(axis=1)
     width = int(counts.mode().iloc[0])
@@ -363,6 +388,20 @@ def _clock_seconds(text: pandas.Series) -> Floats:
     return seconds
 
 
+def _with_padded_fractions(text: pandas.Series) -> pandas.Series:
+    """Pad the fractions of seconds with zeros, if a program wrote whole milliseconds without: `.7` for 7 ms.
+
+    Other programs leave out the zeros at the end: `.70` shows the first kind, and `.07` the other one.
+    """
+    fractions = text.str.extract(r"[.](\d+)$")[0].dropna()
+    longer = fractions[fractions.str.len() > 1]
+    is_unpadded = fractions.str.len().nunique() > 1 and longer.str.endswith("0").any()
+    if not is_unpadded or longer.str.startswith("0").any():
+        return text
+    digits = next((digits for digits in (3, 6, 9) if digits >= int(fractions.str.len().max())), 0)
+    return text.str.replace(r"(?<=[.])\d+$", lambda match: match.group().zfill(digits), regex=True)
+
+
 def _date_seconds(text: pandas.Series, samples: pandas.Series) -> Floats:
     """Read dates with times in seconds since 1970; nan for another text."""
     import pandas
@@ -370,6 +409,7 @@ def _date_seconds(text: pandas.Series, samples: pandas.Series) -> Floats:
     # A date that begins with a year goes on with the month. Other dates begin with the day in most countries.
     day_first = samples.str.match(r"^\s*\d{4}").mean() < _MIN_CLOCK_SHARE
     text = text.str.replace(_COMPACT, r"\1-\2-\3T\4:\5:", regex=True)
+    text = _with_padded_fractions(text)
     dates = pandas.to_datetime(text, errors="coerce", dayfirst=day_first, format="mixed", utc=True)
     first = dates.dropna().iloc[:1].min()
     seconds: Floats = np.array((dates - first).dt.total_seconds(), dtype=np.float64)

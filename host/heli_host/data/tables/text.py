@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import gzip
 import io
@@ -53,6 +54,8 @@ _LABEL_SHARE: Final = 0.9
 """Share of the cells with the same label, or with separators of thousands; other cells may be damaged."""
 _MIN_DISTINCT: Final = 10
 """Smallest number of different numbers with a label; names such as `motor2` have few."""
+_DAMAGED_SHARE: Final = 0.05
+"""Largest share of the cells of a column that are no numbers because of damage."""
 _THOUSANDS: Final = {
     ".": r"^[-+]?\d{1,3}(?:[,'\u2019\s\u202f\u00a0]\d{3})+(?:\.\d*)?$",
     ",": r"^[-+]?\d{1,3}(?:[.'\u2019\s\u202f\u00a0]\d{3})+(?:,\d*)?$",
@@ -61,6 +64,8 @@ _THOUSANDS: Final = {
 _GROUPED: Final = r"^[-+]?\d{1,3}(?:([,.])\d{3})(?:\1\d{3})+$"
 """Numbers with the same mark twice or more, as in `1,204,500`: it separates thousands in any dialect."""
 _COMMA_NUMBER: Final = r"^[-+]?(?:\d+,?\d*|,\d+)(?:[eE][-+]?\d+)?$"
+_ACCOUNTED: Final = (r"^(?:\((\d[\d.,]*)\)|(\d[\d.,]*)-)$", r"-\1\2")
+"""Negative numbers as accountants write them, in brackets or with the minus behind."""
 _FORTRAN_EXPONENT: Final = (r"(?<=\d)[dD](?=[-+]?\d+$)", "e")
 _LABELLED: Final = r"^([^\d+\-.]*)([-+]?\d[\d,.']*(?:[eE][-+]?\d+)?)([^\d]*)$"
 _NAMED_VALUE: Final = re.compile(
@@ -104,6 +109,8 @@ _TIME_CELL: Final = re.compile(r"^\s*\d+[-/.:]\d+[-/.:][-\d/.:,TZ+ ]*(?:[AaPp][M
 """Time or date in a cell, which a row above a header may have."""
 _STAMP_NAME: Final = "timestamp"
 _UNIT_BEHIND: Final = re.compile(r"(.*\d\.?)\s*([A-Za-z°%µ/]{1,8})$")
+_NUMPY_NUMBER: Final = re.compile(r"np\.\w+\(([^()]*)\)")
+"""As in `np.float64(1.5)`, which NumPy prints within a dictionary."""
 _NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?$")
 
 
@@ -186,14 +193,15 @@ def read_text(path: Path) -> Table:
     columns: dict[str, Column] = {}
     unread: dict[str, str] = {}
     for index, name in enumerate(names):
+        cell = ""
         values, unit = numbers_of(frame[index], dialect)
         clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
         if clock_s is not None:
             columns[name] = Column(clock_s, "s")
-        elif np.isfinite(values).any():
+        elif np.isfinite(values).any() and not (cell := _other_notation(frame[index], values)):
             columns[name] = Column(values, units[index] or unit)
         elif frame[index].notna().any():
-            unread[name] = str(frame[index].dropna().iloc[0]).strip()
+            unread[name] = cell or str(frame[index].dropna().iloc[0]).strip()
     if not columns:
         raise FlightDataError(
             f"{path}: the file has no columns of numbers", "give a table with one row per sample"
@@ -210,6 +218,22 @@ def read_text(path: Path) -> Table:
         }
         columns = (_signals_by_name(labels[0], varying) if len(varying) == 2 else {}) or columns
     return Table(str(path), columns, notes, bool(header), tuple(changes), unread, places)
+
+
+def _other_notation(cells: pandas.Series, values: Floats) -> str:
+    """Return the first cell with digits that is no number, if such cells are too many for damaged lines.
+
+    The numbers of this column then have another notation in some rows, such as hexadecimal digits.
+    """
+    is_text = ~np.isfinite(values) & cells.notna().to_numpy()
+    if is_text.mean() <= _DAMAGED_SHARE:
+        return ""
+    texts = cells[is_text].astype(str)
+    texts = texts[texts.str.contains(r"\d")]
+    # A program that has no value writes one text for it.
+    if texts.size <= _DAMAGED_SHARE * cells.size or texts.nunique() < _MIN_DISTINCT:
+        return ""
+    return str(texts.iloc[0]).strip()
 
 
 def _without_checksums(lines: list[str]) -> list[str]:
@@ -316,7 +340,10 @@ def _json_lines(text: str) -> list[str]:
 
 
 def _record_in(line: str) -> dict[str, Any] | None:
-    """Return the JSON object that ends a line, maybe behind a time; None if there is none."""
+    """Return the JSON object that ends a line, maybe behind a time; None if there is none.
+
+    Python prints dictionaries with other quotes and names of constants.
+    """
     brace, end = line.find("{"), line.rfind("}") + 1
     # In a list that was cut off, a line may end with a comma.
     if brace < 0 or line[end:].strip() not in ("", ",", "]"):
@@ -324,7 +351,10 @@ def _record_in(line: str) -> dict[str, Any] | None:
     try:
         record = json.loads(line[brace:end])
     except (ValueError, RecursionError):
-        return None
+        try:
+            record = ast.literal_eval(_NUMPY_NUMBER.sub(r"\1", line[brace:end]))
+        except (ValueError, SyntaxError, MemoryError, RecursionError):
+            return None
     return record if isinstance(record, dict) else None
 
 
@@ -466,6 +496,7 @@ def numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
     unread = ~np.isfinite(values) & cells.notna().to_numpy()
     if unread.any():
         plain = cells[unread].astype(str).str.strip().str.replace(*_FORTRAN_EXPONENT, regex=True)
+        plain = plain.str.replace(*_ACCOUNTED, regex=True)
         # One cell of text, as in a repeated header, keeps pandas from reading the decimal commas of a column.
         if dialect.decimal == ",":
             plain = plain.where(plain.str.match(_COMMA_NUMBER)).str.replace(",", ".")
