@@ -186,6 +186,12 @@ def test_a_stated_share_of_the_supply_asks_for_the_supply() -> None:
     shares = scaled(table, {m: f"{m} [%]" for m in PAIR}, dict.fromkeys(PAIR, 100.0 / 5.0))
     assert "the supply voltage" in subjects(proposed(shares))
     assert "the supply voltage" not in subjects(proposed(table))
+    # A supply that is far from that of the rig file has to explain the hover.
+    battery = {"battery [V]": Column(np.full(len(table), 12.0))}
+    for supply_V in (5.0, 12.0):
+        shares = scaled(table, {m: f"{m} [%]" for m in PAIR}, dict.fromkeys(PAIR, 100.0 / supply_V))
+        asked = subjects(proposed(replace(shares, columns={**shares.columns, **battery})))
+        assert ("the supply voltage" in asked) == (supply_V != 12.0)
 
 
 @pytest.mark.medium
@@ -322,6 +328,24 @@ def test_without_names_a_file_without_travel_is_refused() -> None:
 
 
 @pytest.mark.medium
+def test_names_that_contradict_the_motion_are_named_although_travel_has_none() -> None:
+    table = renamed(flight_table(), elevation="alpha", pitch="theta", travel="phi")
+    with pytest.raises(FlightDataError, match="elevation is alpha, pitch is theta, travel is phi"):
+        proposed(table)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("is_off_first", [False, True])
+def test_shares_against_which_elevation_rises_may_be_those_of_an_inverting_driver(is_off_first: bool) -> None:
+    columns = dict(flight_table().columns)
+    for motor in PAIR:
+        inverted = 255.0 - np.round(51.0 * columns.pop(motor).values)
+        inverted[:5] *= not is_off_first
+        columns[f"{motor}_pwm"] = Column(inverted)
+    assert ("elevation's sign" in subjects(proposed(Table("x.csv", columns)))) != is_off_first
+
+
+@pytest.mark.medium
 def test_the_one_column_that_is_left_for_a_role_needs_no_name() -> None:
     guess = proposed(renamed(flight_table(), pitch="Pi"))
     assert columns_of(guess)["pitch"] == "Pi"
@@ -399,7 +423,7 @@ def test_a_file_without_voltages_is_refused_with_the_reason() -> None:
     with pytest.raises(FlightDataError, match=r"the time is uncertain .* no column is a motor voltage"):
         proposed(replace(table, columns={"w": repeated_s, **{axis: angles[axis] for axis in AXES}}))
     with pytest.raises(
-        FlightDataError, match=r"left out: front \(no number in it, but 'off'\), back \(too few"
+        FlightDataError, match=r"left out: front \(not numbers, such as 'off'\), back \(too few"
     ):
         sparse = np.where(np.arange(t_s.size) % 600 == 0, 1.0, np.nan)
         proposed(replace(table, columns={**angles, "back": Column(sparse)}, unread={"front": "off"}))

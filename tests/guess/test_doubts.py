@@ -270,11 +270,18 @@ def test_a_rig_that_was_given_is_kept_and_a_better_one_is_a_doubt(monkeypatch: p
     assert all(item.sure for item in guess_by_rigs(TABLES, given).guesses)
 
 
-def test_counts_per_turn_of_a_rig_that_the_user_has_not_named_are_a_doubt(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    ("axis", "angle", "sentence"),
+    [
+        ("travel", Angle("travel", "count", 8192.0), "travel 8192, or others"),
+        ("elevation", Angle("elevation", "deg", offset_deg=-30.0), "-30 deg added"),
+    ],
+)
+def test_numbers_of_a_rig_that_the_user_has_not_named_are_a_doubt(
+    axis: str, angle: Angle, sentence: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     nats = {"makki2024": 10.0, "makki2024-identified": 0.0, "quanser-course": 50.0}
-    counted = replace(PROFILE, angles={**PROFILE.angles, "travel": Angle("travel", "count", 8192.0)})
-    patch_proposals(monkeypatch, nats, {"quanser-course": counted})
-    assert "travel 8192, or others" in guess_by_rigs(TABLES).guesses[0].ambiguities[-1].sentence()
+    from_rig = replace(PROFILE, angles={**PROFILE.angles, axis: angle})
+    patch_proposals(monkeypatch, nats, {"quanser-course": from_rig})
+    assert sentence in guess_by_rigs(TABLES).guesses[0].ambiguities[-1].sentence()
     assert all(item.sure for item in guess_by_rigs(TABLES, load_rig("quanser-course")).guesses)

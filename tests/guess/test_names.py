@@ -36,6 +36,8 @@ from heli_lab.setup.guess.names import (
         ("U_bat", "", "a supply voltage"),
         ("pitch_imu", "pitch", "another sensor"),
         ("loopCount", "", "a counter"),
+        ("P_front [W]", "front", "another quantity"),
+        ("pose.qx", "", "a quaternion"),
         ("U_v", "front", ""),
         ("PWM_h", "back", ""),
         ("V_f", "front", ""),

@@ -81,6 +81,12 @@ def slow_clock(log: Log) -> None:
     log["t_s"][later] = log["t_s"][later.start] + 2.0 * (log["t_s"][later] - log["t_s"][later.start])
 
 
+def cut_to_pieces(log: Log) -> None:
+    """Leave a flight of a few rows, which is too short for a signal."""
+    log["travel_rad"][10:] += np.radians(150.0)
+    log["front_V"][rows(log, 50.0, 53.0)] = 3.0
+
+
 def halve_pitch(log: Log) -> None:
     log["pitch_rad"] *= 0.5
 
@@ -97,6 +103,7 @@ def halve_pitch(log: Log) -> None:
         (change_unit_in_the_middle_of_a_part, "pitch's unit in parts of the file"),
         (cut_voltage, "the back voltage in parts of the file"),
         (slow_clock, "the rate of the clock"),
+        (cut_to_pieces, "the front voltage in parts of the file"),
         (halve_pitch, "the scale of pitch's encoder"),
     ],
 )

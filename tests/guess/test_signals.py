@@ -39,7 +39,8 @@ def test_the_low_pass_is_the_butterworth_filter_of_scipy_both_ways(rows: int) ->
 def test_a_wrapped_angle_is_unwrapped_and_a_motor_that_is_switched_on_is_not() -> None:
     angle_deg: Floats = np.linspace(-300.0, 500.0, 2000)
     wrapped = np.mod(angle_deg + 180.0, 360.0) - 180.0
-    assert np.ptp(unwrapped(wrapped)) == pytest.approx(800.0)
+    for unit in (1.0, 100.0, 1e3 * np.pi / 180.0):
+        assert np.ptp(unwrapped(unit * wrapped)) == pytest.approx(800.0 * unit)
     # An encoder that turns by less than a count per row.
     counts = np.floor(np.arange(3000) / 40.0) % 64.0
     assert np.ptp(unwrapped(counts, (64.0,))) == 74.0
@@ -85,8 +86,15 @@ def test_a_clock(name: str, step: float, unit: str, expected_unit: str, sure: bo
 
 
 def test_a_unit_of_times_names_a_time_whose_word_is_not_known() -> None:
-    coarse = Table("a.csv", {"tijd [s]": Column(np.floor(np.arange(200.0) / 2.5) / 10.0)})
-    assert clock_of(coarse).column == "tijd [s]"
+    for name in ("tijd [s]", "sec"):
+        coarse = Table("a.csv", {name: Column(np.floor(np.arange(200.0) / 2.5) / 10.0)})
+        clock = clock_of(coarse)
+        assert (clock.column, clock.unit, clock.sure) == (name, "s", True)
+
+
+def test_a_clock_whose_rows_come_in_pairs_has_the_unit_of_their_mean_step() -> None:
+    times = 8e6 + 2e4 * (np.arange(400) // 2) + 40.0 * (np.arange(400) % 2)
+    assert clock_of(Table("a.csv", {"timestamp": Column(times)})).unit == "us"
 
 
 @pytest.mark.parametrize("rows_per_tick", [3, 12.5, 33])

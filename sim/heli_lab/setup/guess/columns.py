@@ -237,7 +237,12 @@ def two_angles_only(source: str, angles: Mapping[str, str], reason: str = "") ->
 
 
 def check_third_angle(
-    source: str, regressions: Mapping[str, RegressionFit], best: Assignment, options: ColumnOptions
+    source: str,
+    regressions: Mapping[str, RegressionFit],
+    best: Assignment,
+    options: ColumnOptions,
+    files: Sequence[PreparedFile],
+    reference: Reference,
 ) -> None:
     """Refuse a table whose names state two angles or none, if the third one's column moves differently."""
     unstated = [axis for axis in AXES if axis not in options.stated]
@@ -255,6 +260,11 @@ def check_third_angle(
     # Travel follows pitch, so a wrong column for pitch moves neither with the voltages nor with travel.
     axes = ("pitch", "travel") if unstated == ["pitch"] else unstated
     if min(regressions[axis].log_likelihood_ratio for axis in axes) < DECISIVE_NATS:
+        if contradictions := _contradictions(best, options, files, reference):
+            raise FlightDataError(
+                f"{source}: the names of the angles contradict the motion ({contradictions[0].alternative})",
+                "state the columns in a profile",
+            )
         angles = {axis: best.columns[axis] for axis in AXES if axis not in unstated}
         reason = f"'{best.columns[unstated[0]]}' does not move like {unstated[0]}"
         raise two_angles_only(source, angles, reason)
@@ -265,7 +275,7 @@ def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> Column
     first = files[0]
     meanings = meanings_of({name: first.table.columns[name].unit for name in first.signals.raw})
     named, free, left_out = _sorted_by_meaning(files, known, meanings)
-    left_out |= {name: f"no number in it, but '{cell}'" for name, cell in first.table.unread.items()}
+    left_out |= {name: f"not numbers, such as '{cell}'" for name, cell in first.table.unread.items()}
     left_out |= dict.fromkeys(first.too_sparse, "too few numbers")
     unnamed_axes = [axis for axis in AXES if not named[axis]]
     # Two columns with the name of one angle, and no name for another angle: books use other letters.

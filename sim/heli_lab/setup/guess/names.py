@@ -9,7 +9,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
-from heli_host.data.tables.table import ANGLE_UNITS, COUNT, SHARES, VOLTAGE_UNITS, split_unit, unknown_unit
+from heli_host.data.tables.table import (
+    ANGLE_UNITS,
+    COUNT,
+    SHARES,
+    VOLTAGE_UNITS,
+    split_unit,
+    unit_of,
+    unknown_unit,
+)
 
 AXES: Final = ("elevation", "pitch", "travel")
 PAIR: Final = ("front", "back")
@@ -91,6 +99,7 @@ _OTHER_QUANTITIES: Final = {
         *("dir", "direction", "sign", "polarity"),
         *("richtung", "drehrichtung", "vorzeichen", "retning", "sens", "direccion"),
     ),
+    "a quaternion": ("quaternion", "quat", "qw", "qx", "qy", "qz"),
     "another sensor": ("imu", "ahrs", "mpu", "mems", "inertial", "camera", "mocap"),
     "another quantity": (
         *(
@@ -167,6 +176,7 @@ _OTHER_UNITS: Final = {
     "°C": "another quantity",
     "rpm": "another quantity",
     "N": "another quantity",
+    "W": "another quantity",
     "Nm": "another quantity",
     "us": "a time or a width of pulses",
     "ms": "a time or a width of pulses",
@@ -427,6 +437,10 @@ def is_half(name: str) -> bool:
 
 
 def is_time(name: str) -> bool:
-    """Whether a `name` means the time. A letter after another word, as in ``theta_t``, is an index."""
+    """Whether a `name` means the time, also by its unit alone, as in ``ms``. A letter after another word, as
+    in ``theta_t``, is an index.
+    """
     words = words_of(name)
-    return bool(_TIMES.intersection(words) - {"t"}) or words[:1] == ["t"]
+    # A column `min` may be a minimum.
+    is_bare_unit = len(words) == 1 and len(words[0]) > 1 and unit_of(words[0]) in ("s", "ms", "us", "ns")
+    return bool(_TIMES.intersection(words) - {"t"}) or words[:1] == ["t"] or is_bare_unit

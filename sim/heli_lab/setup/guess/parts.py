@@ -141,7 +141,10 @@ def _regressions(part: Flight, reference: Reference) -> dict[str, RegressionFit]
     """Regress the acceleration of each axis on its cause; empty if a column is constant."""
     table = Table("flight", {name: Column(getattr(part, name)) for name in _COLUMNS})
     signals = column_signals(table, part.t_s, list(_COLUMNS))
-    if any(np.ptp(signals.raw[name]) == 0.0 for name in _COLUMNS) or not signals.inner.any():
+    # A part of a few rows has no signals.
+    if len(signals.raw) < len(_COLUMNS) or not signals.inner.any():
+        return {}
+    if any(np.ptp(signals.raw[name]) == 0.0 for name in _COLUMNS):
         return {}
     assignment = Assignment(dict(zip((*AXES, *PAIR), _COLUMNS, strict=True)))
     return axis_regressions(signals, assignment, reference, dict.fromkeys(AXES, 1.0))

@@ -175,7 +175,7 @@ def guess_by_rigs(
     guesses = check_by_simulation(proposals[chosen], longest_parts[chosen], rigs[chosen])
     evidence, ambiguities = _compare_with_second(proposals, chosen, is_given=rig is not None)
     if rig is None:
-        ambiguities += _unknown_counts(proposals[chosen].profile, chosen, known)
+        ambiguities += _unknown_rig(proposals[chosen].profile, chosen, known)
     ambiguities += part_ambiguities(tables, proposals[chosen].profile, rigs[chosen], is_given=rig is not None)
     guesses = [
         replace(each, evidence=(*evidence, *each.evidence), ambiguities=(*ambiguities, *each.ambiguities))
@@ -206,8 +206,8 @@ def _compare_with_second(
     return evidence, [Ambiguity("the rig", chosen, second, reason)]
 
 
-def _unknown_counts(profile: Profile, rig_name: str, known: KnownEntries) -> list[Ambiguity]:
-    """Report counts per turn that come from a rig file which the user has not named."""
+def _unknown_rig(profile: Profile, rig_name: str, known: KnownEntries) -> list[Ambiguity]:
+    """Report counts per turn and a zero of elevation from a rig file that the user has not named."""
     counts = [
         f"{axis} {angle.counts:g}"
         for axis, angle in profile.angles.items()
@@ -216,7 +216,20 @@ def _unknown_counts(profile: Profile, rig_name: str, known: KnownEntries) -> lis
     reason = (
         f"these are those of rig {rig_name}, and the motion shows them only roughly; give your rig with --rig"
     )
-    return [Ambiguity("the scale of the encoders", ", ".join(counts), "others", reason)] if counts else []
+    ambiguities = (
+        [Ambiguity("the scale of the encoders", ", ".join(counts), "others", reason)] if counts else []
+    )
+    added_deg = profile.angles["elevation"].offset_deg
+    if added_deg and "offset_deg" not in known.entries.get("elevation", {}):
+        ambiguities.append(
+            Ambiguity(
+                "the elevation's zero",
+                f"{added_deg:g} deg added, so that the arm rests at the table of rig {rig_name}",
+                "the angle of another table",
+                "the log is 0 at rest, and does not show how deep the table is; give your rig with --rig",
+            )
+        )
+    return ambiguities
 
 
 def propose(
@@ -241,7 +254,7 @@ def propose(
     doubtful_columns, columns_sentence = column_ambiguities(ranked, options, files, reference)
     # Units: those that the file states, and otherwise those with gains like the rig's.
     scale, unit_ambiguities = choose_scale(motion, reference, rig)
-    logged_supply = with_logged_supply(reference, files)
+    logged_supply = with_logged_supply(reference, files, abs(motion.mean_sum) * scale.volts(reference))
     if scale.voltage in SHARES and logged_supply is not reference:
         reference = logged_supply
         scale, unit_ambiguities = choose_scale(motion, reference, rig)
@@ -254,7 +267,7 @@ def propose(
             Ambiguity("the time", f"{clock.column} in {clock.unit}", clock.alternative, NO_RATE)
         )
     try:
-        check_third_angle(source, regressions, assignment, options)
+        check_third_angle(source, regressions, assignment, options, files, reference)
         ambiguities += check_voltages(source, regressions, assignment, options, files)
     except FlightDataError as error:
         raise _with_uncertain_time(error, source, clock) from error
@@ -266,7 +279,7 @@ def propose(
     ambiguities += sign_ambiguities(
         regressions, signs, assignment, states_motors, mirrored, _torque_text(torque_nats, mirrored, rig)
     )
-    ambiguities += flights.rates() + equal_voltages(assignment, files)
+    ambiguities += flights.rates() + equal_voltages(assignment, files) + flights.inverted_shares(signs)
     # Zero of the elevation, from the rest on the table, and delays between columns.
     offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
     timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
@@ -422,6 +435,26 @@ class _FlightsInUnits:
             )
             for axis in axes
             if nats[axis] > DECISIVE_NATS
+        ]
+
+    def inverted_shares(self, signs: SignChanges) -> list[Ambiguity]:
+        """Report shares of the supply that may be largest with the motor off, as those of inverting drivers:
+        then elevation rises against them.
+        """
+        if self.scale.voltage not in SHARES or signs.elevation > 0.0:
+            return []
+        for file in self.files:
+            first, second = (file.table.columns[name].values for name in self.assignment.voltages)
+            if file.begins and first[0] == 0.0 and second[0] == 0.0:
+                # Before a flight the motors are off.
+                return []
+        return [
+            Ambiguity(
+                "elevation's sign",
+                "the opposite of the log, because it rises against the voltages",
+                f"as in the log, and {self.scale.voltage} is inverted",
+                "0 may be full voltage; look up the value of a motor that is off",
+            )
         ]
 
     def feedback(self) -> float:

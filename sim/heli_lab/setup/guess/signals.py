@@ -12,7 +12,7 @@ import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_host.data.tables import Table
 from heli_host.data.tables.rows import longest_rise, spikes
-from heli_host.data.tables.table import TIME_UNITS, split_unit
+from heli_host.data.tables.table import ANGLE_UNITS, TIME_UNITS, split_unit, unit_of
 from numpy.typing import NDArray
 
 from heli_lab.setup.guess import names
@@ -44,6 +44,9 @@ _MAX_RISE: Final = 3.0
 """Rise from row to row, as a multiple of the median, from which rows are missing."""
 _STEP_ROWS: Final = 1000
 """Number of rows over which the step of a coarse clock is averaged: more than rows share a time."""
+_BURST_ROWS: Final = 20
+_BURST_RATIO: Final = 3.0
+"""Number of rows whose average step counts if rows come in bursts, and its smallest ratio to the median."""
 _MAX_UNEVENNESS: Final = 0.5
 """Largest deviation of an even step from the median step, as a share of it."""
 _STEPS_s: Final = (0.0002, 0.15)
@@ -191,7 +194,11 @@ def _mean_step(values: Floats) -> float:
     if _falls_steadily(steps):
         steps, values = -steps, -values
     if float(np.mean(steps > 0.0)) > 0.5:
-        return float(np.median(steps[steps > 0.0]))
+        typical = float(np.median(steps[steps > 0.0]))
+        # Rows that come in bursts, such as messages of several kinds, have short steps and a long one.
+        rows = max(1, min(values.size // 4, _BURST_ROWS))
+        average = float(np.median((values[rows:] - values[:-rows]) / rows))
+        return average if average > _BURST_RATIO * typical else typical
     rows = max(1, min(values.size // 4, _STEP_ROWS))
     return float(np.median((values[rows:] - values[:-rows]) / rows))
 
@@ -207,7 +214,7 @@ def _interpret_as_times(name: str, header_unit: str, step: float, first: float, 
     words = names.words_of(name)
     stated_unit = header_unit or split_unit(name)[1]
     if not stated_unit:
-        stated_unit = "ms" if "millis" in words else "us" if "micros" in words else ""
+        stated_unit = "ms" if "millis" in words else "us" if "micros" in words else unit_of(name)
     if stated_unit in TIME_UNITS and (stated_unit in possible_units or not possible_units):
         return Clock(
             name,
@@ -421,7 +428,8 @@ def unwrapped(values: Floats, counts_per_turn: Collection[float] = ()) -> Floats
     if not jumps.size or jumps.size > 0.02 * values.size:
         return values
     largest_smooth_step = _WRAP_STEPS * _typical_steps_near_jumps(steps, is_jump)
-    for turn in (2.0 * np.pi, 360.0, 1.0, *sorted(set(counts_per_turn)), _COUNTER):
+    turns = [2.0 * np.pi / rad for rad in ANGLE_UNITS.values()]
+    for turn in (*turns, *sorted(set(counts_per_turn)), _COUNTER):
         is_about_a_turn = np.all(np.abs(jumps / turn - 1.0) < 0.2)
         is_smooth = np.median(np.abs(jumps - turn) - largest_smooth_step) <= 0.0
         # The range of a wrapped angle is at most a turn.

@@ -543,10 +543,11 @@ _SUPPLY_SHARES: Final = (0.7, 1.4)
 the rig, such as 5 V of the electronics, is far outside."""
 
 
-def with_logged_supply(reference: Reference, files: Sequence[PreparedFile]) -> Reference:
+def with_logged_supply(reference: Reference, files: Sequence[PreparedFile], hover_V: float) -> Reference:
     """Return the reference with the supply that the files log, for voltages that are shares of it.
 
-    Without a single column that is named as a supply and has plausible values, it is unchanged.
+    Without a single column that is named as a supply and has plausible values, it is unchanged. `hover_V` is
+    the sum of the voltages in flight with the rig file's supply; a supply that explains it is plausible.
     """
     columns = files[0].table.columns
     meanings = meanings_of({name: column.unit for name, column in columns.items()})
@@ -556,7 +557,16 @@ def with_logged_supply(reference: Reference, files: Sequence[PreparedFile]) -> R
             continue
         per_unit = VOLTAGE_UNITS.get(columns[name].unit or split_unit(name)[1], 1.0)
         mean_V = per_unit * float(np.nanmean(columns[name].values))
-        if _SUPPLY_SHARES[0] < mean_V / reference.supply_V < _SUPPLY_SHARES[1]:
+        share = mean_V / reference.supply_V
+        explains_hover = (
+            share > 0.0
+            and hover_V > 0.0
+            and (
+                abs(_deviation_std(share * hover_V, reference.hover_V, _HOVER_STD))
+                < min(1.0, abs(_deviation_std(hover_V, reference.hover_V, _HOVER_STD)))
+            )
+        )
+        if _SUPPLY_SHARES[0] < share < _SUPPLY_SHARES[1] or explains_hover:
             plausible[name] = mean_V
     if len(plausible) != 1:
         return reference
@@ -613,7 +623,9 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
             Ambiguity(
                 "the elevation's zero",
                 f"0 as it is, with {rest.median_deg:.0f} deg in flight",
-                f"0 at rest, so {table_deg:g} deg to add",
+                f"0 at rest, so {table_deg:g} deg to add"
+                if abs(rest.median_deg) < 2.0 * abs(table_deg)
+                else f"{-rest.median_deg:.0f} deg to add, so that it flies at 0 deg",
                 "the flight does not begin at rest; start logging while the arm is on the table",
             )
         ]
