@@ -428,6 +428,15 @@ def test_on_a_port_a_name_that_no_rig_has_is_a_label(terminal: Terminal, tmp_pat
     assert missing.code == 2 and "cannot read rig file lab-7.toml" in missing.err
 
 
+@pytest.mark.parametrize(("rig", "is_noted"), [("quanser-course", True), ("makki2024", False)])
+def test_a_simulated_rig_without_gains_of_its_own_is_noted(
+    terminal: Terminal, rig: str, is_noted: bool
+) -> None:
+    result = terminal(*f"setpoint --sil --speed max --elevation-deg 0 --rig {rig}".split())
+    assert "the board is idle, not flying" in result.err
+    assert (f"heli-host tune --rig {rig} designs others" in result.out) == is_noted
+
+
 @pytest.mark.slow
 def test_law_fly_flies_the_rig_that_is_named(terminal: Terminal, tmp_path: Path) -> None:
     write_mine(tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -84,8 +85,10 @@ def _say_migration(heli: Heli) -> None:
 
 def check_board_rig(heli: Heli, rig: str | None) -> None:
     """Compare the parameters of a board with the rig that it flies; print a warning for each difference."""
+    from heli_host.board.parameters import spec_of
     from heli_host.board.rig_check import check_rig, is_known_rig, rig_parameters
     from heli_host.link.transport import transport_rig_parameters
+    from heli_host.ui.cli.options import DEFAULT_RIG
     from heli_host.ui.cli.say import say, say_progress
 
     expected = transport_rig_parameters(heli.session.transport)
@@ -101,6 +104,11 @@ def check_board_rig(heli: Heli, rig: str | None) -> None:
         # A simulated board starts with the parameters of its rig, so the user has set this one on purpose.
         fix = "" if simulated else f"; heli-host params set {difference.parameter} {difference.rig:g} --save"
         say(f"warning: {difference}{fix}")
+    has_default_gains = math.isclose(heli.params["hover_V"], spec_of("hover_V").default, rel_tol=1e-6)
+    if simulated and has_default_gains and rig not in (None, DEFAULT_RIG):
+        say_progress(
+            f"note: the board's gains are for {DEFAULT_RIG}; heli-host tune --rig {rig} designs others"
+        )
 
 
 def clear_latched_fault(heli: Heli) -> None:
