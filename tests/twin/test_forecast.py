@@ -25,7 +25,14 @@ from heli_lab.watch.calibration import DEFAULT_DISTURBANCES
 from heli_lab.watch.error_shares import ErrorShares, error_shares, shares_json
 from heli_lab.watch.forecast import Forecasts, HORIZONS_s, START_EVERY_s, forecasts_of, horizon_errors
 from heli_lab.watch.learn import fly_simulated, with_process_noise
-from heli_lab.watch.saved_rig import SavedRig, compare_rigs, comparison_json, saved_json, saved_rig
+from heli_lab.watch.saved_rig import (
+    RigModel,
+    SavedRig,
+    compare_rigs,
+    comparison_json,
+    saved_json,
+    saved_rig,
+)
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects
@@ -403,7 +410,9 @@ def test_an_identified_rig_states_each_axis_that_it_forecasts_worse() -> None:
         )
         patch.setattr(rig_module, "_count_deg", lambda *_: np.full(3, COUNT_DEG))
         model_before, model_after = cast(Any, "before"), cast(Any, "after")
-        comparison = compare_rigs((model_before, RIG), (model_after, RIG), [], FITTED.records)
+        comparison = compare_rigs(
+            RigModel(model_before, RIG), RigModel(model_after, RIG), judged=[], fitted=FITTED.records
+        )
     assert comparison.worse == ("travel",)
     assert comparison_json(comparison)["axis"]["travel"]["ratio"] == pytest.approx(1.4)
     assert "the forecast error of travel at 1 s is 1.40 times that of the rig before" in comparison.lines[0]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import gc
 import itertools
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from heli_host.ui.cli.options import DEFAULT_RIG, JsonOption
@@ -19,15 +19,13 @@ from heli_lab import fit_inputs as option
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from heli_host.data.flight import Flight
-    from heli_sim.model.base import Model
     from heli_sim.rig import Rig
 
     from heli_lab.explain import Diagnosis, InsufficientExcitation
     from heli_lab.fit.identification import Identification
     from heli_lab.fit.records import Record
     from heli_lab.watch.error_shares import ErrorShares
-    from heli_lab.watch.saved_rig import Forecaster, JudgedFlight, RigComparison, SavedRig
+    from heli_lab.watch.saved_rig import Forecaster, JudgedFlight, RigComparison, RigModel, SavedRig
 
 
 def identify(
@@ -94,7 +92,7 @@ def identify(
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
     from heli_lab.watch.disturbances import with_likely_advance
-    from heli_lab.watch.saved_rig import compare_rigs, comparison_json, unmeasured_sentence
+    from heli_lab.watch.saved_rig import RigModel, compare_rigs, comparison_json, unmeasured_sentence
 
     validation_paths = validate or []
     data_on_stdout(json)
@@ -110,8 +108,8 @@ def identify(
         if loop_rate_Hz is not None:
             records = sampled(records, loop_rate_Hz)
 
-        def equations(rig: Rig) -> Model:
-            return model_of(rig, inputs.model.name, effect_file or ())
+        def with_equations(rig: Rig) -> RigModel:
+            return RigModel(model_of(rig, inputs.model.name, effect_file or ()), rig)
 
         def identified(records: Sequence[Record]) -> Identification:
             return run_identification(
@@ -129,8 +127,8 @@ def identify(
         identification = identified(records)
         if loop_rate_Hz is None:
             # The identified rig shows whether the voltages of a slow log are samples of those that acted.
-            estimated_rig = identification.rig("estimated")
-            timed_records = with_likely_advance(equations(estimated_rig), estimated_rig, records, None)
+            estimated = with_equations(identification.rig("estimated"))
+            timed_records = with_likely_advance(estimated.model, estimated.rig, records, None)
             if any(record.advance_rows for record in timed_records):
                 records, identification = timed_records, identified(timed_records)
         page: Path | None = None
@@ -139,20 +137,14 @@ def identify(
         if save_rig is not None:
             bar.show("forecasts", 0.88)
             identified_rig = identification.rig(save_rig.stem)
-            judged = _judged_flights(
-                slice(len(flights), None) if validation_paths else slice(None),
-                paths,
-                inputs.labels,
-                spans,
-                allow_gaps,
-                records,
-            )
+            files = _FlightFiles(paths, inputs.labels, spans, len(flights), allow_gaps)
+            judged = files.held_out(records) if validation_paths else files.fitted(records)
             try:
                 comparison = compare_rigs(
-                    (model_of(inputs.rig, model, effect_file or ()), inputs.rig),
-                    (equations(identified_rig), identified_rig),
-                    judged,
-                    identification.fit.problem.records,
+                    before=RigModel(model_of(inputs.rig, model, effect_file or ()), inputs.rig),
+                    after=with_equations(identified_rig),
+                    judged=judged,
+                    fitted=identification.fit.problem.records,
                 )
                 rig_lines = list(comparison.lines)
             except HeliError as error:
@@ -255,7 +247,6 @@ def diagnose(
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_result_places
     from heli_sim.model.effects import catalogue
-    from heli_sim.rig import write_rig
 
     from heli_lab.errors import NotExcited
     from heli_lab.explain import InsufficientExcitation, insufficient_excitation
@@ -263,10 +254,9 @@ def diagnose(
     from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, model_of, parts, read_parts
     from heli_lab.report.diagnosis.page import write_effect_file, write_insufficient_excitation, write_report
     from heli_lab.report.diagnosis.serialize import to_json
-    from heli_lab.report.diagnosis.text import summary, unconfirmed_in_rig
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
-    from heli_lab.watch.saved_rig import Forecaster, saved_json, saved_rig
+    from heli_lab.watch.saved_rig import Forecaster, saved_json
 
     # Exclude loaded libraries from garbage collection, which otherwise takes 8 % of a diagnosis.
     gc.freeze()
@@ -279,10 +269,8 @@ def diagnose(
     kinds = catalogue(effect_file or ())
     result: Diagnosis | InsufficientExcitation
     output_files: list[Path | None] = []
-    rig_remark = ""
-    rig_lines: list[str] = []
     shares: ErrorShares | None = None
-    saved: SavedRig | None = None
+    rig_file: _RigFile | None = None
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process, option.vector_of_report(vector, report)) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
@@ -311,35 +299,18 @@ def diagnose(
         else:
             if result.label != "explained" or save_rig is not None:
                 bar.show("forecasts", 0.93)
-                after = result.assessment.after
-                held_out_records = after.held_out_fit.problem.records if after.held_out_fit else ()
-                records = (*after.fit.problem.records, *held_out_records)
-                fitted, held_out = slice(len(flights)), slice(len(flights), None)
-
-                def judged(part: slice) -> list[JudgedFlight]:
-                    return _judged_flights(part, paths, inputs.labels, spans, allow_gaps, records)
-
+                files = _FlightFiles(paths, inputs.labels, spans, len(flights), allow_gaps)
+                records = _records_of(result)
                 forecast = Forecaster(
-                    judged(held_out if result.has_other_flight else fitted),
+                    files.held_out(records) if result.has_other_flight else files.fitted(records),
                     lambda rig: model_of(rig, inputs.model.name, effect_file or ()),
                     inputs.rig,
                 )
                 if result.label != "explained":
-                    shares = _error_shares(result, forecast, lambda: judged(fitted))
+                    shares = _error_shares(result, forecast, lambda: files.fitted(records))
                 if save_rig is not None:
                     bar.show("forecasts with the extended rig", 0.94)
-                    source = f"heli-host diagnose, model {inputs.model.name}"
-                    saved = saved_rig(
-                        result,
-                        save_rig.stem,
-                        forecast,
-                        with_unconfirmed=with_unconfirmed,
-                        with_term=with_term,
-                    )
-                    rig_remark = unconfirmed_in_rig(result, saved.has_term, with_unconfirmed)
-                    comment = f"Found by {source}. {summary(result)} {rig_remark}".strip()
-                    rig_lines = [*(cause.sentence for cause in saved.left_out), *saved.lines]
-                    write_rig(saved.rig, save_rig, "\n".join([comment, *rig_lines]))
+                    rig_file = _write_extended_rig(result, save_rig, forecast, with_unconfirmed, with_term)
                     output_files.append(save_rig)
             if report is not None:
                 bar.show("drawing", 0.95)
@@ -349,45 +320,83 @@ def diagnose(
             if result.proposed_term is not None and effect_folder is not None:
                 output_files.append(write_effect_file(result, effect_folder))
         numbers = to_json(result, shares)
-        numbers["saved_rig"] = None if saved is None else saved_json(saved)
+        numbers["saved_rig"] = None if rig_file is None else saved_json(rig_file.saved)
         write_result(json, numbers)
         output_files.append(json)
     if numbers["flights"]:
         say(flights_line(numbers["flights"]))
     _print_diagnosis(result, shares)
-    if rig_remark:
-        say(f"{save_rig}: {rig_remark}")
-    if rig_lines:
-        say(f"{save_rig}: {rig_lines[0]}", *rig_lines[1:])
+    if rig_file is not None and rig_file.remark:
+        say(f"{save_rig}: {rig_file.remark}")
+    if rig_file is not None and rig_file.lines:
+        say(f"{save_rig}: {rig_file.lines[0]}", *rig_file.lines[1:])
     say_files(output_files)
 
 
-def _judged_flights(
-    part: slice,
-    paths: Sequence[Path],
-    labels: Sequence[str],
-    spans: Sequence[tuple[float | None, float | None]],
-    allow_gaps: bool,
-    records: Sequence[Record],
-) -> list[JudgedFlight]:
-    """Read a part of the flights for forecasts, with the voltages that acted according to the records of the
-    fit.
-    """
-    from heli_host.data.log.reader import read_flight
+@dataclass(frozen=True)
+class _FlightFiles:
+    """The files of all flights: first those to fit, then those for validation."""
 
-    from heli_lab.fit.voltage_timing import with_acting_voltages
-    from heli_lab.watch.saved_rig import JudgedFlight
+    paths: Sequence[Path]
+    labels: Sequence[str]
+    spans: Sequence[tuple[float | None, float | None]]  # Part of each flight [s], None without a limit
+    fitted_count: int
+    allow_gaps: bool
 
-    advance_rows = {record.label: record.advance_rows for record in records}
+    def fitted(self, records: Sequence[Record]) -> list[JudgedFlight]:
+        """Read the fitted flights for forecasts, with the voltages that acted according to the `records`."""
+        return self._read(slice(self.fitted_count), records)
 
-    def flight(path: Path, label: str) -> Flight:
-        flown = replace(read_flight(path, allow_gaps=allow_gaps), extra={})
-        return with_acting_voltages(flown, advance_rows.get(label, 0.0))
+    def held_out(self, records: Sequence[Record]) -> list[JudgedFlight]:
+        """Read the validation flights in the same way."""
+        return self._read(slice(self.fitted_count, None), records)
 
-    return [
-        JudgedFlight(label, flight(path, label), span)
-        for path, label, span in zip(paths[part], labels[part], spans[part], strict=True)
-    ]
+    def _read(self, part: slice, records: Sequence[Record]) -> list[JudgedFlight]:
+        from heli_host.data.log.reader import read_flight
+
+        from heli_lab.fit.voltage_timing import with_acting_voltages
+        from heli_lab.watch.saved_rig import JudgedFlight
+
+        advance_rows = {record.label: record.advance_rows for record in records}
+        judged: list[JudgedFlight] = []
+        for path, label, span in zip(self.paths[part], self.labels[part], self.spans[part], strict=True):
+            flight = replace(read_flight(path, allow_gaps=self.allow_gaps), extra={})
+            acting = with_acting_voltages(flight, advance_rows.get(label, 0.0))
+            judged.append(JudgedFlight(label, acting, span))
+        return judged
+
+
+def _records_of(result: Diagnosis) -> tuple[Record, ...]:
+    """Return the records of all flights of a diagnosis, of the fitted ones first."""
+    after = result.assessment.after
+    held_out_records = after.held_out_fit.problem.records if after.held_out_fit else ()
+    return (*after.fit.problem.records, *held_out_records)
+
+
+class _RigFile(NamedTuple):
+    """The rig file of a diagnosis, and what is printed about it."""
+
+    saved: SavedRig
+    remark: str  # On unconfirmed causes in the rig; empty without them
+    lines: list[str]  # Causes that were left out, and forecast errors
+
+
+def _write_extended_rig(
+    result: Diagnosis, path: Path, forecast: Forecaster, with_unconfirmed: bool, with_term: bool
+) -> _RigFile:
+    """Write the extended rig, without causes that worsen the forecasts."""
+    from heli_sim.rig import write_rig
+
+    from heli_lab.report.diagnosis.text import summary, unconfirmed_in_rig
+    from heli_lab.watch.saved_rig import saved_rig
+
+    saved = saved_rig(result, path.stem, forecast, with_unconfirmed=with_unconfirmed, with_term=with_term)
+    remark = unconfirmed_in_rig(result, saved.has_term, with_unconfirmed)
+    model_name = result.assessment.after.fit.problem.model.name
+    comment = f"Found by heli-host diagnose, model {model_name}. {summary(result)} {remark}".strip()
+    lines = [*(cause.sentence for cause in saved.left_out), *saved.lines]
+    write_rig(saved.rig, path, "\n".join([comment, *lines]))
+    return _RigFile(saved, remark, lines)
 
 
 def _error_shares(

@@ -46,6 +46,8 @@ _SUPPORTED_LENGTHS: Final = 120.0
 """Longest interval between false alarms that healthy flights support, in their own length: 30 s support one
 false alarm per hour. Their tail is then extrapolated by two powers of ten. More: the rate is a guess. Less:
 a useful rate needs more flights than users have."""
+_MIN_SEGMENTS: Final = 10
+"""Fewest segments for a tail: with `_LEVEL`, two of their maxima are above the level. By judgement."""
 _NODES: Final = 15
 """Number of nodes of the Gauss-Hermite quadrature in each of its two dimensions."""
 
@@ -140,7 +142,7 @@ def segment_maxima(history: Sequence[tuple[float, float]]) -> list[float]:
 def fit_tail(flights: Sequence[Sequence[tuple[float, float]]], healthy_s: float = math.inf) -> Tail:
     """Fit the tail of the evidence to nominal flights."""
     maxima = [maximum for history in flights for maximum in segment_maxima(history)]
-    if len(maxima) < 10:
+    if len(maxima) < _MIN_SEGMENTS:
         raise TwinError(
             f"{len(maxima)} segments of {SEGMENT_s:g} s of nominal flight are too few for a threshold",
             "give a longer flight",

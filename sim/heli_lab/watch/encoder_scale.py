@@ -186,10 +186,10 @@ class ScaleTest:
         self.estimates: tuple[ScaleEstimate, ...] = ()
         if weak_form.seconds < _MIN_s:
             return
-        self._noise, all_free = _noise_of_axes(weak_form)
-        self._all_one = _fit_scales(weak_form, self._noise, (), weak_form.mean)
+        self._noise, free_scales_fit = _noise_of_axes(weak_form)
+        self._unit_scales_fit = _fit_scales(weak_form, self._noise, axes=(), start=weak_form.mean)
         self.estimates = tuple(
-            _estimate_scale_of_axis(weak_form, self._noise, axis, all_free, self._all_one)
+            _estimate_scale_of_axis(weak_form, self._noise, axis, free_scales_fit, self._unit_scales_fit)
             for axis in range(len(AXES))
         )
 
@@ -197,7 +197,9 @@ class ScaleTest:
         """Fit a wrong supply, and the most likely of the effects `kinds`, in the place of a wrong scale."""
         # Effects with states, such as a lag, are left out: the lag of the thrust is always fitted. A first
         # step of a fit predicts which effects are likely.
-        effects = [_EffectFit(kind, self._weak_form, self._all_one) for kind in kinds if _is_static(kind)]
+        effects = [
+            _EffectFit(kind, self._weak_form, self._unit_scales_fit) for kind in kinds if _is_static(kind)
+        ]
         effects.sort(key=lambda effect: -effect.predicted_nats(self._noise))
         fitted = [self._supply(), *(effect.explanation(self._noise) for effect in effects[:_FITTED_EFFECTS])]
         return sorted(fitted, key=lambda explanation: -explanation.nats)
@@ -206,30 +208,30 @@ class ScaleTest:
         """Fit a factor on the voltages, from several start values."""
         fits = []
         for factor in (0.5, 1.0, 2.0):
-            start = self._all_one.unknowns.copy()
+            start = self._unit_scales_fit.unknowns.copy()
             start[VOLTAGE_FACTOR] = np.log(factor)
-            fits.append(_fit_scales(self._weak_form, self._noise, (VOLTAGE_FACTOR,), start))
+            fits.append(_fit_scales(self._weak_form, self._noise, axes=(VOLTAGE_FACTOR,), start=start))
         best = min(fits, key=lambda fit: fit.cost)
         return Explanation(_WRONG_SUPPLY, self._nats(best), float(np.exp(best.unknowns[VOLTAGE_FACTOR])))
 
     def _nats(self, fit: _Fit) -> float:
         """Log-likelihood ratio of a fit to the fit of the rig's model, nats; 0 if it is not a number."""
-        nats = 0.5 * (self._all_one.cost - fit.cost)
+        nats = 0.5 * (self._unit_scales_fit.cost - fit.cost)
         return nats if np.isfinite(nats) else 0.0
 
 
 class _EffectFit:
     """An effect of the catalogue in the place of a wrong scale."""
 
-    def __init__(self, kind: EffectSpec, weak_form: FlightInWeakForm, all_one: _Fit) -> None:
-        self._kind, self._effect, self._all_one = kind, kind.make(), all_one
+    def __init__(self, kind: EffectSpec, weak_form: FlightInWeakForm, unit_scales_fit: _Fit) -> None:
+        self._kind, self._effect, self._unit_scales_fit = kind, kind.make(), unit_scales_fit
         self._weak_form = weak_form.with_effect(self._effect)
         # Parameters of the model are the last unknowns.
-        self._first = len(all_one.unknowns) - len(weak_form.names)
+        self._first = len(unit_scales_fit.unknowns) - len(weak_form.names)
         self._common = self._weak_form.mean.copy()
-        self._common[: self._first] = all_one.unknowns[: self._first]
+        self._common[: self._first] = unit_scales_fit.unknowns[: self._first]
         names = self._weak_form.names
-        for name, value in zip(weak_form.names, all_one.unknowns[self._first :], strict=True):
+        for name, value in zip(weak_form.names, unit_scales_fit.unknowns[self._first :], strict=True):
             self._common[self._first + names.index(name)] = value
 
     def _starts(self) -> Iterator[Floats]:
@@ -251,19 +253,19 @@ class _EffectFit:
             problem = _ScaleProblem(self._weak_form, noise, (), start)
             first = problem.first()
             cost = first.cost - problem.step(first, 0.0).promised
-            best = max(best, 0.5 * (self._all_one.cost - cost))
+            best = max(best, 0.5 * (self._unit_scales_fit.cost - cost))
         return best
 
     def explanation(self, noise: Floats) -> Explanation:
         """Fit the effect; a fit whose size is outside its bounds explains nothing."""
         kind, best_nats = self._kind, 0.0
         for start in self._starts():
-            fit = _fit_scales(self._weak_form, noise, (), start, _EFFECT_STEPS)
+            fit = _fit_scales(self._weak_form, noise, axes=(), start=start, max_steps=_EFFECT_STEPS)
             values = dict(zip(self._weak_form.names, fit.unknowns[self._first :], strict=True))
             is_possible = all(
                 kind.priors[name].low <= values[name] <= kind.priors[name].high for name in kind.size
             )
-            nats = 0.5 * (self._all_one.cost - fit.cost)
+            nats = 0.5 * (self._unit_scales_fit.cost - fit.cost)
             if is_possible and np.isfinite(nats):
                 best_nats = max(best_nats, nats)
         return Explanation(kind.id, best_nats)
@@ -275,48 +277,54 @@ def _is_static(kind: EffectSpec) -> bool:
 
 
 def _estimate_scale_of_axis(
-    weak_form: FlightInWeakForm, noise: Floats, axis: int, all_free: _Fit, all_one: _Fit
+    weak_form: FlightInWeakForm, noise: Floats, axis: int, free_scales_fit: _Fit, unit_scales_fit: _Fit
 ) -> ScaleEstimate:
     """Estimate the scale of one axis, with the other two scales fixed at 1. Shapes: `noise` (3,)."""
-    start = all_free.unknowns.copy()
+    start = free_scales_fit.unknowns.copy()
     start[[other for other in range(3) if other != axis]] = 0.0
-    fits = [_fit_scales(weak_form, noise, (axis,), initial) for initial in (start, all_one.unknowns)]
+    fits = [
+        _fit_scales(weak_form, noise, axes=(axis,), start=values)
+        for values in (start, unit_scales_fit.unknowns)
+    ]
     best = min(fits, key=lambda fit: fit.cost)
     scale = float(np.exp(best.unknowns[axis]))
     standard_error = scale * float(np.sqrt(best.covariance[0, 0]))
-    nats = 0.5 * (all_one.cost - best.cost)
-    return ScaleEstimate(AXES[axis], scale, standard_error, nats, best.converged and all_one.converged)
+    nats = 0.5 * (unit_scales_fit.cost - best.cost)
+    return ScaleEstimate(
+        AXES[axis], scale, standard_error, nats, best.converged and unit_scales_fit.converged
+    )
 
 
 def _noise_of_axes(weak_form: FlightInWeakForm) -> tuple[Floats, _Fit]:
     """Estimate the noise of each axis from the residuals of a fit in which all scales are free. Returns shape
     `noise` (3,).
     """
-    # A wrong scale does then not count as noise. The standard deviations follow from the residuals by three
-    # rules.
-    # 1. Neighbouring residuals are correlated. As for a first-order autoregression, their long-run variance
-    # is the variance times (1 + rho) / (1 - rho), with the correlation rho of neighbours. 2. Least squares
-    # assume that the voltages are independent of the disturbances, but a control law responds to disturbances
-    # (Ljung, chapter 13). This gives the scale a relative error of the order of r, the power of the residuals
-    # divided by that of the predicted accelerations. In a hover, for example, the scale of travel is
-    # estimated at a quarter of its true value. From n independent residuals alone, the standard error would
-    # be sqrt(r / n). The noise is therefore multiplied by sqrt(1 + (c r)^2 n / r), with c = `_FEEDBACK`. 3.
-    # If only disturbances move an axis, a small scale explains its angles as well as any other scale, and
-    # makes its residuals small. If the scale is below 1, the residuals are therefore divided by it.
+    # A wrong scale does then not count as noise.
     noise, unknowns = np.full(3, _FIRST_rad_s2), weak_form.mean
     for _ in range(_NOISE_ROUNDS):
-        fit = _fit_scales(weak_form, noise, (0, 1, 2), unknowns)
+        fit = _fit_scales(weak_form, noise, axes=range(3), start=unknowns)
         unknowns = fit.unknowns
         for axis, residual in enumerate(fit.residuals):
+            # Neighbouring residuals are correlated. As for a first-order autoregression, their long-run
+            # variance is the variance times (1 + rho) / (1 - rho), with the correlation rho of neighbours.
             variance = float(np.mean(residual**2))
             rho = float(np.mean(residual[1:] * residual[:-1])) / max(variance, 1e-30)
             rho = min(max(rho, 0.0), _MAX_CORRELATION)
             noise[axis] = max(np.sqrt(variance * (1.0 + rho) / (1.0 - rho)), _MIN_rad_s2)
     for axis, residual in enumerate(fit.residuals):
         predicted = weak_form.measured_accelerations(axis) - residual
+        # Least squares assume that the voltages are independent of the disturbances, but a control law
+        # responds to disturbances (Ljung, chapter 13). This gives the scale a relative error of the order of
+        # r, the power of the residuals divided by that of the predicted accelerations. In a hover, for
+        # example, the scale of travel is estimated at a quarter of its true value. From n independent
+        # residuals alone, the standard error would be sqrt(r / n). The noise is therefore multiplied by
+        # sqrt(1 + (c r)^2 n / r), with c = `_FEEDBACK`.
         ratio = float(np.mean(residual**2)) / max(float(np.mean(predicted**2)), 1e-12)
         noise[axis] *= np.sqrt(1.0 + _FEEDBACK**2 * ratio * len(residual))
-        noise[axis] /= min(1.0, float(np.exp(unknowns[axis])))
+        # If only disturbances move an axis, a small scale explains its angles as well as any other scale, and
+        # makes its residuals small. If the scale is below 1, the residuals are therefore divided by it.
+        scale = float(np.exp(unknowns[axis]))
+        noise[axis] /= min(1.0, scale)
     return noise, fit
 
 

@@ -17,17 +17,20 @@ range, and the judged flights must confirm it.
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from heli_host.data.arrays import Booleans, Floats, Integers
+from heli_host.data.arrays import Booleans, Floats
 from heli_sim.model.effect import AXES
+from heli_sim.rig import Rig
 
 from heli_lab.explain.result import Diagnosis, model_and_rig
 from heli_lab.fit.problem import PER_FLIGHT
-from heli_lab.watch.forecast import Forecasts, HORIZONS_s, MAIN_HORIZON_s, START_EVERY_s
+from heli_lab.watch.forecast import Forecasts, HorizonErrors, HORIZONS_s, MAIN_HORIZON_s, START_EVERY_s
 from heli_lab.watch.saved_rig import Forecaster, JudgedFlight, at_horizon, forecast_flights
 
 _MAX_RATIO: Final = 1.5
@@ -133,47 +136,66 @@ def error_shares(
     """
     # `fitted` reads the fitted flights, which only an unexplained error needs.
     # A HeliError is raised if no flight is long enough for forecasts.
-    has_other_flight = result.has_other_flight
-    extended = result.rig("extended", with_unconfirmed=True)
-    remaining = forecast(extended)
-    baseline = forecast(result.rig("baseline", with_unconfirmed=False, only=()))
-    errors = at_horizon(remaining, baseline)
+    extended_rig = result.rig("extended", with_unconfirmed=True)
+    with_causes = forecast(extended_rig)
+    without_causes = forecast(result.rig("baseline", with_unconfirmed=False, only=()))
+    errors = at_horizon(with_causes, without_causes)
     assert errors.reduction is not None
-    square_deg2 = np.array([errors.with_causes[axis] ** 2 for axis in AXES])
-    unknown_deg2 = np.zeros(len(AXES))
-    is_curve_confirmed = np.zeros(len(AXES), bool)
-    least_deg2, least = square_deg2, remaining
-    if result.curved is not None and has_other_flight:
-        model, rig = model_and_rig(result.curved)
-        # Zeros and constant torques of both models are the same, so that the curves alone differ.
-        constants = {name: extended[name].value for name in PER_FLIGHT if name in extended}
-        curved = forecast_flights(model, rig.replace(**constants), forecast.judged)
-        with_curves = at_horizon(curved, remaining)
-        assert with_curves.reduction is not None
-        is_curve_confirmed = np.array([with_curves.reduction[axis].interval95[1] < 1.0 for axis in AXES])
-        curved_deg2 = np.array([with_curves.with_causes[axis] ** 2 for axis in AXES])
-        unknown_deg2 = np.where(is_curve_confirmed, square_deg2 - curved_deg2, 0.0)
-        least_deg2 = square_deg2 - unknown_deg2
-        least = curved
-    expected_deg2 = np.where(is_curve_confirmed, _expected_deg2(least), _expected_deg2(remaining))
-    excess_deg2 = np.where(least_deg2 > _MAX_RATIO * expected_deg2, least_deg2 - expected_deg2, 0.0)
-    unknown_deg2 = unknown_deg2 + excess_deg2
+    unknown = _unknown_error(result, forecast, extended_rig, with_causes)
     ranges: list[LargeErrorRange | None] = [None] * len(AXES)
-    if has_other_flight and result.label == "unexplained":
-        of_fitted = forecast_flights(forecast.model_of(extended), extended, fitted())
-        ranges = [_larger_where(of_fitted, remaining, number) for number in range(len(AXES))]
+    if result.has_other_flight and result.label == "unexplained":
+        of_fitted = forecast_flights(forecast.model_of(extended_rig), extended_rig, fitted())
+        ranges = [_range_of_large_errors(of_fitted, with_causes, axis) for axis in range(len(AXES))]
+    any_curve_confirmed = bool(unknown.is_curve_confirmed.any())
     return ErrorShares(
-        tuple(flight.label for flight in remaining),
-        has_other_flight,
+        tuple(flight.label for flight in with_causes),
+        result.has_other_flight,
         {
             axis: AxisShares(
-                errors.reduction[axis].before_deg, errors.with_causes[axis], float(unknown), larger_where
+                errors.reduction[axis].before_deg, errors.with_causes[axis], float(unknown_deg2), range_
             )
-            for axis, unknown, larger_where in zip(AXES, unknown_deg2, ranges, strict=True)
+            for axis, unknown_deg2, range_ in zip(AXES, unknown.square_deg2, ranges, strict=True)
         },
-        curves=_curve_names(result) if is_curve_confirmed.any() else (),
-        unresolved=() if is_curve_confirmed.any() else _unresolved(result),
+        curves=_curve_names(result) if any_curve_confirmed else (),
+        unresolved=() if any_curve_confirmed else _unresolved(result),
     )
+
+
+class _UnknownError(NamedTuple):
+    """The part of the error with the causes that is unknown."""
+
+    square_deg2: Floats  # (3,): Mean square [deg2]
+    is_curve_confirmed: Booleans  # (3,): Whether the curves predict a part of it
+
+
+def _unknown_error(
+    result: Diagnosis, forecast: Forecaster, rig: Rig, with_causes: Sequence[Forecasts]
+) -> _UnknownError:
+    """Return what the curves predict of the error with the causes, and what exceeds the disturbances."""
+    error_deg2 = _mean_square_deg2(at_horizon(with_causes, None))
+    expected_deg2 = _expected_deg2(with_causes)
+    is_curve_confirmed = np.zeros(len(AXES), bool)
+    predicted_deg2 = np.zeros(len(AXES))
+    if result.curved is not None and result.has_other_flight:
+        model, curved_rig = model_and_rig(result.curved)
+        # Zeros and constant torques of both models are the same, so that the curves alone differ.
+        constants = {name: rig[name].value for name in PER_FLIGHT if name in rig}
+        with_curves = forecast_flights(model, curved_rig.replace(**constants), forecast.judged)
+        errors = at_horizon(with_curves, with_causes)
+        assert errors.reduction is not None
+        # The whole 95 % interval of the ratio of the errors is below 1.
+        is_curve_confirmed = np.array([max(errors.reduction[axis].interval95) < 1.0 for axis in AXES])
+        predicted_deg2 = np.where(is_curve_confirmed, error_deg2 - _mean_square_deg2(errors), 0.0)
+        expected_deg2 = np.where(is_curve_confirmed, _expected_deg2(with_curves), expected_deg2)
+    remaining_deg2 = error_deg2 - predicted_deg2
+    is_excess = remaining_deg2 > _MAX_RATIO * expected_deg2
+    excess_deg2 = np.where(is_excess, remaining_deg2 - expected_deg2, 0.0)
+    return _UnknownError(predicted_deg2 + excess_deg2, is_curve_confirmed)
+
+
+def _mean_square_deg2(errors: HorizonErrors) -> Floats:
+    """Return the mean square error of the model about each axis, (3,) [deg2]."""
+    return np.array([errors.with_causes[axis] ** 2 for axis in AXES])
 
 
 def _expected_deg2(forecasts: Sequence[Forecasts]) -> Floats:
@@ -220,40 +242,52 @@ def _independent(forecasts: Sequence[Forecasts]) -> _Samples:
     return _Samples(np.vstack(quantities), np.vstack(squares))
 
 
-def _larger_where(
+def _range_of_large_errors(
     fitted: Sequence[Forecasts], judged: Sequence[Forecasts], axis: int
 ) -> LargeErrorRange | None:
     """Return the range in which the fitted flights have the clearest larger errors about an axis, if the
     judged flights have them there too.
     """
     of_fitted, of_judged = _independent(fitted), _independent(judged)
-    edges = np.quantile(of_fitted.quantities, np.arange(1, _BINS) / _BINS, axis=0)  # (bins - 1, quantities)
-    best = (1.0, 0, 0)
-    for number in range(len(_START_QUANTITIES)):
-        for chosen in range(_BINS):
-            is_inside = _is_inside(of_fitted, edges, number, chosen)
-            best = min(best, (_chance_of(of_fitted.squares[:, axis], is_inside), number, chosen))
-    _, number, chosen = best
-    is_inside = _is_inside(of_judged, edges, number, chosen)
-    squares = of_judged.squares[:, axis]
-    if _chance_of(squares, is_inside) > _CHANCE:
+
+    def chance(samples: _Samples, bin_: _Bin) -> float:
+        return _chance_of(samples.squares[:, axis], bin_.contains(samples))
+
+    clearest = min(_bins(of_fitted), key=lambda bin_: chance(of_fitted, bin_))
+    if chance(of_judged, clearest) > _CHANCE:
         return None
-    ends = np.concatenate(([-np.inf], edges[:, number], [np.inf]))
+    is_inside = clearest.contains(of_judged)
+    squares = of_judged.squares[:, axis]
     return LargeErrorRange(
-        _START_QUANTITIES[number],
-        unit=_UNITS[number],
-        low=float(ends[chosen]),
-        high=float(ends[chosen + 1]),
+        _START_QUANTITIES[clearest.quantity],
+        unit=_UNITS[clearest.quantity],
+        low=clearest.low,
+        high=clearest.high,
         ratio=float(np.sqrt(squares[is_inside].mean() / squares[~is_inside].mean())),
     )
 
 
-def _is_inside(samples: _Samples, edges: Floats, quantity: int, chosen: int) -> Booleans:
-    """Whether each forecast began in the bin `chosen` of a quantity. Shapes: `edges` (bins - 1,
-    quantities).
-    """
-    bins: Integers = np.searchsorted(edges[:, quantity], samples.quantities[:, quantity])
-    return np.asarray(bins == chosen, bool)
+class _Bin(NamedTuple):
+    """A range of a quantity at the start of forecasts; the first and the last range are open."""
+
+    quantity: int  # Its place in `_START_QUANTITIES`
+    low: float
+    high: float
+
+    def contains(self, samples: _Samples) -> Booleans:
+        """Whether each forecast began within the range."""
+        quantity = samples.quantities[:, self.quantity]
+        return np.asarray((self.low < quantity) & (quantity <= self.high), bool)
+
+
+def _bins(samples: _Samples) -> list[_Bin]:
+    """Divide each quantity into `_BINS` ranges with equally many forecasts."""
+    edges = np.quantile(samples.quantities, np.arange(1, _BINS) / _BINS, axis=0)  # (bins - 1, quantities)
+    return [
+        _Bin(quantity, low, high)
+        for quantity, inner_edges in enumerate(edges.T.tolist())
+        for low, high in itertools.pairwise([-math.inf, *inner_edges, math.inf])
+    ]
 
 
 def _chance_of(squares: Floats, is_inside: Booleans) -> float:

@@ -8,6 +8,7 @@ state that fits the predicted window best.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -137,35 +138,43 @@ def forecasts_of(
             "give a longer flight, or a wider part of it with --from and --to",
         )
     path_s = np.asarray(np.arange(round(longest_s / _PATH_EVERY_s) + 1) * _PATH_EVERY_s, float)
-    path_rad = _simulate(twin, disturbances, filtered, path_s)
-    first = np.array([start.step for start in filtered.starts])
-    measured_rad = np.full((len(first), len(HORIZONS_s), _AXIS_COUNT), np.nan)
-    for horizon, horizon_s in enumerate(HORIZONS_s):
-        if horizon_s > longest_s:
-            continue
-        steps = round(horizon_s / filtered.step_s)
-        rows = np.minimum(first + steps, len(filtered.segment) - 1)
-        is_free = (first + steps < len(filtered.segment)) & (
-            filtered.segment[rows] == filtered.segment[first]
-        )
-        measured_rad[is_free, horizon] = filtered.measured_rad[rows[is_free]]
-    used = filtered.segment >= 0
+    start_rows = np.array([start.step for start in filtered.starts])
+    is_used = filtered.segment >= 0
+    # The first states are the angles, the next ones their rates.
     start_rad_s = np.array([start.state[_AXIS_COUNT : 2 * _AXIS_COUNT] for start in filtered.starts])
     recent_steps = round(START_EVERY_s / filtered.step_s)
     ends = [_TAIL, 1.0 - _TAIL]
     return Forecasts(
         label,
-        filtered.time_s[first],
-        filtered.measured_rad[first],
-        measured_rad,
-        path_s,
-        path_rad,
-        range_V=np.quantile(filtered.acting_V[used], ends, axis=0),
+        start_s=filtered.time_s[start_rows],
+        start_rad=filtered.measured_rad[start_rows],
+        measured_rad=_measured_at_horizons(filtered, start_rows, longest_s),
+        path_s=path_s,
+        path_rad=_simulate(twin, disturbances, filtered, path_s),
+        range_V=np.quantile(filtered.acting_V[is_used], ends, axis=0),
         range_rad_s=np.quantile(start_rad_s, ends, axis=0),
-        start_V=np.array([filtered.acting_V[max(row - recent_steps, 0) : row].mean(axis=0) for row in first]),
+        start_V=np.array(
+            [filtered.acting_V[max(row - recent_steps, 0) : row].mean(axis=0) for row in start_rows]
+        ),
         start_rad_s=start_rad_s,
         expected_rad2=_expected_rad2(twin, disturbances, filtered, count_rad),
     )
+
+
+def _measured_at_horizons(filtered: _FilteredFlight, start_rows: Integers, longest_s: float) -> Floats:
+    """Return the measured angles at the horizons up to `longest_s` after each start, (k, horizons, 3)."""
+    measured_rad = np.full((len(start_rows), len(HORIZONS_s), _AXIS_COUNT), np.nan)
+    last_row = len(filtered.segment) - 1
+    for horizon, horizon_s in enumerate(HORIZONS_s):
+        if horizon_s > longest_s:
+            continue
+        rows = start_rows + round(horizon_s / filtered.step_s)
+        is_within = rows <= last_row
+        rows = np.minimum(rows, last_row)
+        # Only a horizon in the same segment as its start was free flight up to there.
+        is_free = is_within & (filtered.segment[rows] == filtered.segment[start_rows])
+        measured_rad[is_free, horizon] = filtered.measured_rad[rows[is_free]]
+    return measured_rad
 
 
 def _filter_flight(
@@ -182,8 +191,9 @@ def _filter_flight(
     steps = list(stepper.update(samples))
     step_s = stepper.step_s
     free_flight, inputs = FreeFlight(twin.rig, step_s), InputHistory(twin, step_s)
-    first_s = -np.inf if span_s[0] is None else span_s[0]
-    last_s = np.inf if span_s[1] is None else span_s[1]
+    from_s, to_s = span_s
+    first_s = -np.inf if from_s is None else from_s
+    last_s = np.inf if to_s is None else to_s
     # Missing steps stay nan, and belong to no segment.
     count = steps[-1].index - steps[0].index + 1 if steps else 0
     offset = steps[0].index if steps else 0
@@ -232,7 +242,7 @@ class _Runner:
         self._twin, self._disturbances, self._count_rad = twin, disturbances, count_rad
         self._step_s, self._starts = step_s, starts
         self._steps_per_block = max(1, round(BLOCK_s / step_s))
-        self._start_blocks = max(1, round(START_EVERY_s / (self._steps_per_block * step_s)))
+        self._blocks_per_start = max(1, round(START_EVERY_s / (self._steps_per_block * step_s)))
         self.kalman: KalmanFilter | None = None
         self._first_row, self._segment = 0, -1
 
@@ -244,20 +254,21 @@ class _Runner:
             self._begin(row, inputs)
         kalman = self.kalman
         assert kalman is not None
-        block, rest = divmod(row - self._first_row, self._steps_per_block)
-        if block and not rest:
+        age = row - self._first_row
+        block, step_of_block = divmod(age, self._steps_per_block)
+        # The filter begins with a measurement, so it needs none in its first step.
+        if age > 0 and step_of_block == 0:
             self._measure(kalman, step, inputs)
-            age_s = (row - self._first_row) * self._step_s
-            if block % self._start_blocks == 0 and age_s >= _SETTLE_s and step.measured_rad is not None:
-                gust_Nm = kalman.torque_Nm - kalman.steady_torque_Nm
+            is_settled = age * self._step_s >= _SETTLE_s
+            if block % self._blocks_per_start == 0 and is_settled and step.measured_rad is not None:
                 self._starts.append(
                     _Start(
                         row,
-                        kalman.state.copy(),
-                        kalman.steady_torque_Nm,
-                        gust_Nm,
-                        kalman.zero_rad.copy(),
-                        kalman.covariance,
+                        state=kalman.state.copy(),
+                        steady_torque_Nm=kalman.steady_torque_Nm,
+                        gust_Nm=kalman.torque_Nm - kalman.steady_torque_Nm,
+                        zero_rad=kalman.zero_rad.copy(),
+                        covariance=kalman.covariance,
                     )
                 )
         kalman.predict(inputs.motor_time_s, inputs.acting_V)
@@ -366,13 +377,15 @@ def _expected_rad2(
     twin: TwinModel, disturbances: DisturbanceModel, filtered: _FilteredFlight, count_rad: Floats
 ) -> Floats:
     """Return the mean square error at `MAIN_HORIZON_s` that a right model would have, (3,) [rad2]."""
-    # The covariance of the filter is propagated without measurements. Shapes: `count_rad` (3,).
-    every = -(-len(filtered.starts) // _EXPECTED_STARTS)
+    # The covariance of the filter is propagated without measurements. Its rows are states, then gusts, drift
+    # and constant torques about three axes each, then zeros. Shapes: `count_rad` (3,).
+    every = math.ceil(len(filtered.starts) / _EXPECTED_STARTS)
     starts = filtered.starts[::every]
     ensemble = _Ensemble(twin, disturbances, filtered, starts)
     covariance: Floats = np.array([start.covariance for start in starts])
     nx, order = twin.states, covariance.shape[1]
     gusts_and_drift = slice(nx, nx + 2 * _AXIS_COUNT)
+    first_zero = nx + 3 * _AXIS_COUNT
     autocorrelation = disturbances.autocorrelation(filtered.step_s)
     persistence = np.ones(order)
     persistence[gusts_and_drift] = autocorrelation
@@ -381,15 +394,15 @@ def _expected_rad2(
     transition = np.zeros_like(covariance)
     for _ in range(round(MAIN_HORIZON_s / filtered.step_s)):
         transition[:, :nx, :nx], by_torque = ensemble.step()
-        for first in range(nx, nx + 3 * _AXIS_COUNT, _AXIS_COUNT):  # gusts, drift, constant torques
-            transition[:, :nx, first : first + _AXIS_COUNT] = by_torque
+        # Gusts, drift and constant torques all act as torques.
+        transition[:, :nx, nx:first_zero] = np.tile(by_torque, 3)
         transition[:, np.arange(nx, order), np.arange(nx, order)] = persistence[nx:]
         covariance = transition @ covariance @ transition.transpose(0, 2, 1) + np.diag(noise)
     _, by_state = ensemble.measured()
     output = np.zeros((len(starts), _AXIS_COUNT, order))
     output[:, :, :nx] = by_state
-    zeros = np.arange(len(ZEROS))
-    output[:, zeros, nx + 3 * _AXIS_COUNT + zeros] = 1.0
+    for axis in range(len(ZEROS)):
+        output[:, axis, first_zero + axis] = 1.0
     variance_rad2 = np.einsum("kai,kij,kaj->ka", output, covariance, output)
     return np.asarray(variance_rad2.mean(axis=0) + count_rad**2 / 12.0)
 

@@ -53,6 +53,10 @@ _SIGN_WIDTH_STDS: Final = 2.0 * 2.0**0.5
 is the mean of the sign of an uncertain rate. Less: at rest, quantisation is taken for friction. More: slow
 axes show no friction."""
 
+_RATES: Final = slice(3, 6)
+"""Rates among the model's states: the first states are the angles of the three axes, then come their rates.
+"""
+
 
 class KalmanFilter:
     """Extended Kalman filter of one free flight."""
@@ -90,7 +94,9 @@ class KalmanFilter:
         # Parts of z: model's state, gusts, drift and constant torques about three axes, zeros, errors.
         nx = self._nx = twin.states
         error_count = self._directions.shape[1]
-        self._zeros = slice(nx + 9, nx + 9 + len(ZEROS))
+        gusts_and_drift = slice(nx, nx + 6)
+        self._torques = slice(nx, nx + 9)  # Gusts, drift and constant torques
+        self._zeros = slice(self._torques.stop, self._torques.stop + len(ZEROS))
         self._errors = slice(self._zeros.stop, self._zeros.stop + error_count)
         order = self._order = self._errors.stop
         self.mean: Floats = np.concatenate((state, np.zeros(order - nx)))
@@ -100,10 +106,10 @@ class KalmanFilter:
         # Autocorrelation of each part of z over a step, (order,), and roots of the process noise, (6, order).
         autocorrelation = disturbances.autocorrelation(step_s)
         self._autocorrelation: Floats = np.ones(order)
-        self._autocorrelation[nx : nx + 6] = autocorrelation
+        self._autocorrelation[gusts_and_drift] = autocorrelation
         self._noise: Floats = np.zeros((6, order))
         noise_variance = (1.0 - autocorrelation**2) * disturbances.variance
-        self._noise[:, nx : nx + 6] = np.diag(np.sqrt(noise_variance))
+        self._noise[:, gusts_and_drift] = np.diag(np.sqrt(noise_variance))
         self._variance_rad2: Floats = count_rad**2 / 12.0 * disturbances.quantisation
         # Since the last measurement: transition of z, (order, order), and its derivative by each free
         # parameter, (order, parameters + 1).
@@ -128,14 +134,13 @@ class KalmanFilter:
     @property
     def torque_Nm(self) -> Floats:
         """Estimated sum of gusts, drift and constant torque about each axis [N m], (3,)."""
-        nx = self._nx
-        return np.asarray(self.mean[nx : nx + 9].reshape(3, 3).sum(axis=0))
+        return np.asarray(self.mean[self._torques].reshape(3, 3).sum(axis=0))
 
     @property
     def steady_torque_Nm(self) -> Floats:
         """Estimated sum of drift and constant torque about each axis [N m], (3,)."""
-        nx = self._nx
-        return np.asarray(self.mean[nx + 3 : nx + 9].reshape(2, 3).sum(axis=0))
+        _, drift_Nm, constant_Nm = self.mean[self._torques].reshape(3, 3)
+        return np.asarray(drift_Nm + constant_Nm)
 
     @property
     def zero_rad(self) -> Floats:
@@ -171,15 +176,15 @@ class KalmanFilter:
         state_by_parameter[:, :-1] = -gamma @ rates[0, :, 1:]
         state_by_parameter[:, -1] = -gamma @ (by_volts[0] @ volts_V)
         # Dry friction has the sign of the rate. The mean sign of an uncertain rate is smaller than one.
-        rate_std_rad_s = np.linalg.norm(self._root[3:6], axis=1)
+        rate_std_rad_s = np.linalg.norm(self._root[_RATES], axis=1)
         for column, axis in twin.frictions:
-            mean_sign = math.erf(abs(self.mean[3 + axis]) / (_SIGN_WIDTH_STDS * rate_std_rad_s[axis]))
-            state_by_parameter[:, column] *= mean_sign
+            rate_stds = abs(self.mean[_RATES][axis]) / (_SIGN_WIDTH_STDS * rate_std_rad_s[axis])
+            state_by_parameter[:, column] *= math.erf(rate_stds)
         state_by_error = state_by_parameter @ self._directions
         transition = np.zeros((self._order, self._order))
         transition[:nx, :nx] = phi
-        for first in (nx, nx + 3, nx + 6):  # gusts, drift, constant torques
-            transition[:nx, first : first + 3] = state_by_torque
+        # Gusts, drift and constant torques all act as torques.
+        transition[:nx, self._torques] = np.tile(state_by_torque, 3)
         transition[:nx, self._errors] = state_by_error
         np.fill_diagonal(transition[nx:, nx:], self._autocorrelation[nx:])
         predicted = (

@@ -83,12 +83,12 @@ def has_few_disturbances(disturbances: DisturbanceModel) -> bool:
 
 
 def learn_rig(
-    model: Model, rig: Rig, healthy: Sequence[Flight], labels: Sequence[str]
+    model: Model, rig: Rig, nominal_flights: Sequence[Flight], labels: Sequence[str]
 ) -> tuple[DisturbanceModel, ParameterUncertainty]:
     """Estimate disturbances and the uncertainty of parameters from nominal flights, named `labels`."""
     # The parameters keep the rig's values; encoder zeros and constant torques are estimated per flight. The
     # tolerances of the rig file are the priors.
-    of_flights = estimate_with_fixed_rig(model, rig, _prepared(rig, healthy, labels))
+    of_flights = estimate_with_fixed_rig(model, rig, _prepared(rig, nominal_flights, labels))
     twin_model, records, references = of_flights.model, of_flights.records, of_flights.references
     disturbances = of_flights.disturbances
     # Compute the covariance of all parameters at these estimates. The rig's parameters are the first.
@@ -133,7 +133,7 @@ def _known_voltages(records: Sequence[Record]) -> tuple[Floats, Floats]:
 def learn(
     model: Model,
     rig: Rig,
-    healthy: Sequence[Flight] = (),
+    nominal_flights: Sequence[Flight] = (),
     labels: Sequence[str] = (),
     *,
     drawn_s: float = DRAWN_s,
@@ -141,13 +141,13 @@ def learn(
     say: Say = lambda _text, _share: None,
 ) -> Calibration:
     """Estimate the calibration of a twin."""
-    if not healthy:
+    if not nominal_flights:
         return _calibrate_by_simulation(model, rig, seed, say)
     say("disturbances of the nominal flights", 0.0)
-    disturbances, uncertainty = learn_rig(model, rig, healthy, labels)
+    disturbances, uncertainty = learn_rig(model, rig, nominal_flights, labels)
     twin = TwinModel(model, rig, uncertainty)
     followed_flights: list[FollowedFlight] = []
-    for flight, label in zip(healthy, labels, strict=True):
+    for flight, label in zip(nominal_flights, labels, strict=True):
         say(f"evidence in {label}", 0.1)
         followed_flights.append(evidence(twin, disturbances, flight))
     healthy_s = BLOCK_s * sum(len(flight.history) for flight in followed_flights)
@@ -161,10 +161,9 @@ def learn(
     innovations = [flight.innovations[first_settled:] for flight in followed_flights]
     histories = [flight.history_without_kicks() for flight in followed_flights]
     draws = Draws(innovations, math.ceil(drawn_s / healthy_s), np.random.default_rng([seed, _DRAWS_STREAM]))
-    for number, flight in enumerate(healthy):
-        say(
-            f"draws along {labels[number]}", _EVIDENCE_SHARE + (1.0 - _EVIDENCE_SHARE) * number / len(healthy)
-        )
+    for number, flight in enumerate(nominal_flights):
+        done = number / len(nominal_flights)
+        say(f"draws along {labels[number]}", _EVIDENCE_SHARE + (1.0 - _EVIDENCE_SHARE) * done)
         histories += drawn_evidence(twin, disturbances, flight, draws)
     return Calibration(
         disturbances,

@@ -104,7 +104,14 @@ def monitor_flight(
     zero_s = float(samples.number[0]) * sample_s - float(flight.t_s[0])
     count_rad = count_rad_of(flight, twin_rig.rig)
     return _monitor_samples(
-        twin_rig, samples, count_rad, sample_s, zero_s, label, false_alarm_interval_h, (start_s, stop_s)
+        twin_rig,
+        samples,
+        count_rad,
+        label,
+        sample_s=sample_s,
+        zero_s=zero_s,
+        false_alarm_interval_h=false_alarm_interval_h,
+        span_s=(start_s, stop_s),
     )
 
 
@@ -129,7 +136,14 @@ def monitor_file(
     samples, zero_s = samples_of_log(log)
     count_rad = rad_per_count(log.parameters)
     report = _monitor_samples(
-        twin_rig, samples, count_rad, TICK_S, zero_s, path.name, false_alarm_interval_h, (start_s, stop_s)
+        twin_rig,
+        samples,
+        count_rad,
+        path.name,
+        sample_s=TICK_S,
+        zero_s=zero_s,
+        false_alarm_interval_h=false_alarm_interval_h,
+        span_s=(start_s, stop_s),
     )
     return replace(report, flown_rig=log.metadata.get("session", {}).get("rig", ""))
 
@@ -138,15 +152,17 @@ def _monitor_samples(
     twin_rig: TwinRig,
     samples: Samples,
     count_rad: Floats,
+    label: str,
+    *,
     sample_s: float,
     zero_s: float,
-    label: str,
     false_alarm_interval_h: float,
-    span: tuple[float | None, float | None],
+    span_s: tuple[float | None, float | None],
 ) -> TwinReport:
-    """Compare the samples between two times with the twin; `span` has the times, None without a limit."""
-    start_s = -math.inf if span[0] is None else span[0]
-    stop_s = math.inf if span[1] is None else span[1]
+    """Compare the samples between two times with the twin; `span_s` has the times, None without a limit."""
+    from_s, to_s = span_s
+    start_s = -math.inf if from_s is None else from_s
+    stop_s = math.inf if to_s is None else to_s
     t_s = samples.number * sample_s - zero_s
     is_inside = (t_s >= start_s) & (t_s < stop_s)
     if not np.any(is_inside):

@@ -33,6 +33,13 @@ _SHARE_OF_RANGE: Final = 0.8
 same."""
 
 
+class RigModel(NamedTuple):
+    """Equations of motion, and the rig with their parameters."""
+
+    model: Model
+    rig: Rig
+
+
 class JudgedFlight(NamedTuple):
     """A flight whose forecasts decide."""
 
@@ -99,25 +106,24 @@ def saved_rig(
         return result.rig(name, with_unconfirmed=False, only=causes)
 
     left_out: list[LeftOutCause] = []
-    remaining = list(ids)
-    whole_rig = rig_with(remaining)
+    kept_causes = list(ids)
     try:
         baseline = forecast(rig_with([])) if ids else None
-        of_rig = forecast(whole_rig)
-        while baseline is not None and remaining:
-            errors = at_horizon(of_rig, baseline)
+        forecasts = forecast(rig_with(kept_causes))
+        while baseline is not None and kept_causes:
+            errors = at_horizon(forecasts, baseline)
             axis = worst_axis(errors, forecast.count_deg)
             if axis is None:
                 break
             assert errors.reduction is not None
-            harmful = _most_harmful(remaining, axis, lambda ids_: forecast(rig_with(ids_)))
-            remedy = what_to_fly(axis, result.assessment.before.fit.problem.records, of_rig)
+            harmful = _most_harmful(kept_causes, axis, lambda causes: forecast(rig_with(causes)))
+            remedy = what_to_fly(axis, result.assessment.before.fit.problem.records, forecasts)
             left_out.append(LeftOutCause(harmful, axis, errors.reduction[axis], remedy))
-            remaining.remove(harmful)
-            of_rig = forecast(rig_with(remaining))
+            kept_causes.remove(harmful)
+            forecasts = forecast(rig_with(kept_causes))
     except HeliError as error:
-        return SavedRig(rig_with(remaining), (), (unmeasured_sentence(error),))
-    return SavedRig(rig_with(remaining), tuple(left_out), forecast_lines(of_rig))
+        return SavedRig(rig_with(kept_causes), (), (unmeasured_sentence(error),))
+    return SavedRig(rig_with(kept_causes), tuple(left_out), forecast_lines(forecasts))
 
 
 def unmeasured_sentence(error: HeliError) -> str:
@@ -130,15 +136,15 @@ def _with_equation(result: Diagnosis, proposal: Proposal, name: str, forecast: F
     rig = result.rig(name, with_term=True)
     model, _ = model_and_rig(proposal.term.discovery.hypothesis)
     try:
-        of_rig = forecast_flights(model, rig, forecast.judged)
-        errors = at_horizon(of_rig, forecast(result.rig(name, only=())))
+        forecasts = forecast_flights(model, rig, forecast.judged)
+        errors = at_horizon(forecasts, forecast(result.rig(name, only=())))
     except HeliError as error:
         return SavedRig(rig, (), (unmeasured_sentence(error),), has_term=True)
     axis = worst_axis(errors, forecast.count_deg)
     if axis is None:
-        return SavedRig(rig, (), forecast_lines(of_rig), has_term=True)
+        return SavedRig(rig, (), forecast_lines(forecasts), has_term=True)
     assert errors.reduction is not None
-    remedy = what_to_fly(axis, result.assessment.before.fit.problem.records, of_rig)
+    remedy = what_to_fly(axis, result.assessment.before.fit.problem.records, forecasts)
     return SavedRig(rig, (LeftOutCause(TERM, axis, errors.reduction[axis], remedy),), ())
 
 
@@ -155,27 +161,26 @@ class RigComparison:
 
 
 def compare_rigs(
-    before: tuple[Model, Rig],
-    after: tuple[Model, Rig],
+    before: RigModel,
+    after: RigModel,
     judged: Sequence[JudgedFlight],
     fitted: Iterable[Record],
 ) -> RigComparison:
     """Compare the forecasts of equations and rig before and after an identification from `fitted` flights."""
-    of_rig = forecast_flights(*after, judged)
-    errors = at_horizon(of_rig, forecast_flights(*before, judged))
+    forecasts = forecast_flights(after.model, after.rig, judged)
+    errors = at_horizon(forecasts, forecast_flights(before.model, before.rig, judged))
     assert errors.reduction is not None
-    _, rig = after
-    count_deg = _count_deg(judged, rig)
-    worse = [axis for axis in AXES if axis in growing_axes(errors, count_deg)]
+    count_deg = _count_deg(judged, after.rig)
+    worse_axes = [axis for axis in AXES if axis in growing_axes(errors, count_deg)]
     warnings = [
         f"With this rig, the forecast error of {axis} at {MAIN_HORIZON_s:g} s is "
         f"{errors.reduction[axis].ratio:.2f} times that of the rig before "
         f"({errors.reduction[axis].before_deg:.3g} to {errors.reduction[axis].after_deg:.3g} deg). "
-        f"{what_to_fly(axis, fitted, of_rig)}"
-        for axis in worse
+        f"{what_to_fly(axis, fitted, forecasts)}"
+        for axis in worse_axes
     ]
-    labels = tuple(flight.label for flight in of_rig)
-    return RigComparison(labels, errors.reduction, tuple(worse), (*warnings, *forecast_lines(of_rig)))
+    labels = tuple(flight.label for flight in forecasts)
+    return RigComparison(labels, errors.reduction, tuple(worse_axes), (*warnings, *forecast_lines(forecasts)))
 
 
 def comparison_json(comparison: RigComparison) -> dict[str, Any]:
@@ -215,7 +220,7 @@ def _reduction_json(reduction: ErrorReduction) -> dict[str, Any]:
 
 def _count_deg(judged: Sequence[JudgedFlight], rig: Rig) -> Floats:
     """Return the largest angle of a count of each encoder in some flights, (3,) [deg]."""
-    counts_rad = [count_rad_of(flight, rig) for _, flight, _ in judged]
+    counts_rad = [count_rad_of(each.flight, rig) for each in judged]
     return np.asarray(np.rad2deg(np.max(counts_rad, axis=0, initial=0.0)))
 
 

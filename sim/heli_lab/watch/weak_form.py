@@ -98,21 +98,21 @@ def _gap_free_parts(flight: Flight, rows: Booleans, min_V: float) -> list[Part]:
     step_s = flight.step_s
     if not step_s > 0.0:
         return []
-    every = max(1, round(GRID_s / step_s))
+    rows_per_point = max(1, round(GRID_s / step_s))
     usable = rows & np.isfinite(flight.angles_rad).all(axis=1) & np.isfinite(flight.voltages_V).all(axis=1)
     is_start = np.ones(len(usable), bool)
     is_start[1:] = (np.diff(flight.t_s) > 1.5 * step_s) | (usable[1:] != usable[:-1])
     starts = np.flatnonzero(is_start)
     parts = []
     for start, stop in zip(starts, [*starts[1:], len(usable)], strict=True):
-        count = (stop - start) // every
-        if not usable[start] or count * every * step_s < max(_WIDTHS_s):
+        count = (stop - start) // rows_per_point
+        grid_s = rows_per_point * step_s
+        if not usable[start] or count * rows_per_point * step_s < max(_WIDTHS_s):
             continue
-        chosen = slice(start, start + count * every)
-        angles = flight.angles_rad[chosen].reshape(count, every, 3).mean(axis=1)
-        volts = np.maximum(flight.voltages_V[chosen], min_V).reshape(count, every, 2).mean(axis=1)
-        grid_s = every * step_s
-        t_s = flight.t_s[chosen][::every]
+        part_rows = slice(start, start + count * rows_per_point)
+        angles = flight.angles_rad[part_rows].reshape(count, rows_per_point, 3).mean(axis=1)
+        volts = np.maximum(flight.voltages_V[part_rows], min_V).reshape(count, rows_per_point, 2).mean(axis=1)
+        t_s = flight.t_s[part_rows][::rows_per_point]
         parts.append(Part(t_s, angles, _smoothed_rates(angles, grid_s), volts, grid_s))
     return parts
 
@@ -128,6 +128,14 @@ def _smoothed_rates(values: Floats, step_s: float) -> Floats:
     return np.asarray(np.gradient(smooth, step_s, axis=0))
 
 
+class _AxisTests(NamedTuple):
+    """The test functions of an axis, on the grid of a part."""
+
+    weights: Floats  # Of w, which all test functions share
+    second_derivative: Floats  # Weights of the second derivative of w
+    starts: Integers  # First step of each test function
+
+
 class TestFunctions:
     """Test functions of the weak form, at even distances over a part of a flight."""
 
@@ -138,35 +146,34 @@ class TestFunctions:
     __test__ = False
 
     def __init__(self, part: Part) -> None:
-        self._of_axes: list[tuple[Floats, Floats, Integers]] = []
-        """For each axis: weights of w, weights of its second derivative, first step of each test function."""
+        self._of_axes: list[_AxisTests] = []
         for width_s in _WIDTHS_s:
             count = round(width_s / part.step_s)
             x = (np.arange(count) + 0.5) / count * 2.0 - 1.0
             scale = 2.0 / width_s
             w = (1.0 - x**2) ** 4
-            second = scale**2 * (-8.0 * (1.0 - x**2) ** 3 + 48.0 * x**2 * (1.0 - x**2) ** 2)
+            w_second = scale**2 * (-8.0 * (1.0 - x**2) ** 3 + 48.0 * x**2 * (1.0 - x**2) ** 2)
             # On the grid, the weights must be exact for angles that are polynomials of second order: a
             # constant and a line have the acceleration 0, and t^2 / 2 has 1.
-            second -= second.mean()
+            w_second -= w_second.mean()
             t_s = x / scale
-            parabola = float(second @ (0.5 * t_s**2))
+            parabola = float(w_second @ (0.5 * t_s**2))
             starts = np.arange(0, len(part.angles_rad) - count + 1, max(1, round(_OVERLAP * count)))
-            self._of_axes.append((w / w.sum(), second / parabola, starts))
+            self._of_axes.append(_AxisTests(w / w.sum(), w_second / parabola, starts))
 
     def second_derivative(self, angles_rad: Floats) -> list[Floats]:
         """Compute the mean acceleration of each axis [rad/s^2], weighted by each of its test functions.
         Shapes: `angles_rad` (n, 3); returns (k,).
         """
         return [
-            _weighted_sums(second, starts, angles_rad[:, axis])
-            for axis, (_, second, starts) in enumerate(self._of_axes)
+            _weighted_sums(tests.second_derivative, tests.starts, angles_rad[:, axis])
+            for axis, tests in enumerate(self._of_axes)
         ]
 
     def mean(self, axis: int, values: Floats) -> Floats:
         """Average `values`, shape (n,) or (n, k), weighted by each test function of an `axis`, 0 to 2."""
-        weights, _, starts = self._of_axes[axis]
-        return _weighted_sums(weights, starts, values)
+        tests = self._of_axes[axis]
+        return _weighted_sums(tests.weights, tests.starts, values)
 
 
 def _weighted_sums(weights: Floats, starts: Integers, values: Floats) -> Floats:
