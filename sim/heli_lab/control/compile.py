@@ -84,6 +84,7 @@ def _translate_to_values(name: str, function: ca.Function, output_count: int) ->
     argument_kinds = ("input", "state", "parameter")
     # Result 0 has the outputs, result 1 the new states.
     outputs = [program.constant(0.0)] * (output_count + function.size1_out(1))
+    first_output_of_result = (0, output_count)
     # Index of the value in each of CasADi's work registers.
     register: dict[int, int] = {}
     for k in range(function.n_instructions()):
@@ -96,13 +97,14 @@ def _translate_to_values(name: str, function: ca.Function, output_count: int) ->
             register[target[0]] = program.constant(function.instruction_constant(k))
         elif code == ca.OP_OUTPUT:
             result, element = target
-            outputs[element + (output_count if result == 1 else 0)] = register[operands[0]]
+            outputs[first_output_of_result[result] + element] = register[operands[0]]
         elif code == ca.OP_PARAMETER:
             raise BadLaw(
                 f"the law {name} contains a symbol that is not an input, a state or a parameter",
                 "use inputs, states and parameters only",
             )
         else:
+            # An operation on one operand ignores the second one.
             second = register[operands[1]] if len(operands) > 1 else 0
             register[target[0]] = program.append_casadi(code, register[operands[0]], second)
     return program, outputs
@@ -124,8 +126,9 @@ def _without_unused_values(program: _Program, outputs: list[int]) -> tuple[_Prog
 def _assign_cells(
     program: _Program, outputs: list[int], parameter_count: int, state_count: int
 ) -> tuple[list[Instruction], list[int]]:
-    """Assign a cell of the board's memory to every value, and write the instructions."""
-    # Returns `instructions`, `output_cells`.
+    """Assign a cell of the board's memory to every value; return the instructions, and the cell of each
+    output.
+    """
     # A cell is free again after the last operation that reads its value.
     first_cell = {"input": 0, "constant": len(LAW_INPUTS)}
     first_cell["parameter"] = first_cell["constant"] + len(program.constants)
@@ -410,6 +413,7 @@ def _with_sums(program: _Program, outputs: list[int]) -> tuple[_Program, list[in
     """Replace additions and multiplications by sums of products where these cost less. Returns `program`,
     `outputs`.
     """
+    # From the last value to the first, so that each value is known to be read, or not, when its turn comes.
     readers = Counter(operand for value in program.values for operand in value.operands)
     readers.update(outputs)
     read_values = set(outputs)
@@ -420,7 +424,7 @@ def _with_sums(program: _Program, outputs: list[int]) -> tuple[_Program, list[in
         value = program.values[index]
         if value.kind in _LINEAR:
             sums[index] = _merge_equal_products(
-                program, _expand_to_products(program, readers, index, 1.0, is_root=True)
+                program, _expand_to_products(program, readers, index, factor=1.0, is_root=True)
             )
             for product in sums[index]:
                 read_values.add(product.first)

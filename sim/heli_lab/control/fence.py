@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from heli_host.data.files import limit_process
 
@@ -93,6 +93,7 @@ _ENOSYS: Final = 0x00050026
 _NUMBER_AT: Final = 0
 _ARCHITECTURE_AT: Final = 4
 _ARGUMENT_AT: Final = 16
+_ARGUMENT_BYTES: Final = 8
 _CLONE_THREAD: Final = 0x10000
 _X32: Final = 0x40000000
 """Numbers of a second set of the same calls on x86-64."""
@@ -138,7 +139,10 @@ def _filter_system_calls() -> None:
     machine = platform.machine()
     if machine not in _ARCHITECTURES:
         return
-    program = b"".join(struct.pack("<HBBI", *line) for line in _system_call_filter(machine))
+    program = b"".join(
+        struct.pack("<HBBI", line.operation, line.skip_if_true, line.skip_if_false, line.operand)
+        for line in _system_call_filter(machine)
+    )
     buffer = ctypes.create_string_buffer(program)
     header = _FilterProgram(len(program) // 8, ctypes.addressof(buffer))
     libc = ctypes.CDLL(None, use_errno=True)
@@ -149,53 +153,65 @@ def _filter_system_calls() -> None:
         raise OSError(ctypes.get_errno(), "the kernel refuses a filter of system calls")
 
 
-def _system_call_filter(machine: str) -> list[tuple[int, int, int, int]]:
+class _Instruction(NamedTuple):
+    """An instruction of a filter. A comparison skips some of the next instructions."""
+
+    operation: int
+    operand: int
+    skip_if_true: int = 0
+    skip_if_false: int = 0
+
+
+def _system_call_filter(machine: str) -> list[_Instruction]:
     """Write the filter for a processor: a list of instructions of the kernel's packet filter (BPF)."""
     processor_column = list(_ARCHITECTURES).index(machine)
     lines = [
-        (_LOAD, 0, 0, _ARCHITECTURE_AT),
-        (_EQUAL, 1, 0, _ARCHITECTURES[machine]),
-        (_RETURN, 0, 0, _KILL),
-        (_LOAD, 0, 0, _NUMBER_AT),
+        _Instruction(_LOAD, _ARCHITECTURE_AT),
+        _Instruction(_EQUAL, _ARCHITECTURES[machine], skip_if_true=1),
+        _Instruction(_RETURN, _KILL),
+        _Instruction(_LOAD, _NUMBER_AT),
     ]
     if machine == "x86_64":
-        lines += [(_AT_LEAST, 0, 1, _X32), (_RETURN, 0, 0, _KILL)]
+        lines += [_Instruction(_AT_LEAST, _X32, skip_if_false=1), _Instruction(_RETURN, _KILL)]
 
-    def on_call(call: tuple[int, int], *instructions: tuple[int, int, int, int]) -> None:
+    def on_call(call: tuple[int, int], *instructions: _Instruction) -> None:
         """Add the `instructions` that the filter runs for a system call, if this processor has it."""
         if call[processor_column] >= 0:
-            lines.append((_EQUAL, 0, len(instructions), call[processor_column]))
+            lines.append(_Instruction(_EQUAL, call[processor_column], skip_if_false=len(instructions)))
             lines.extend(instructions)
 
     def refuse_bits(call: tuple[int, int], argument: int, bits: int, *, wanted: bool) -> None:
         """Refuse a call unless its argument has one of the bits, or, if not `wanted`, none of them."""
-        hit, miss = (1, 0) if wanted else (0, 1)
+        has_bits = _Instruction(
+            _ANY_BIT, bits, skip_if_true=1 if wanted else 0, skip_if_false=0 if wanted else 1
+        )
         on_call(
             call,
-            (_LOAD, 0, 0, _ARGUMENT_AT + 8 * argument),
-            (_ANY_BIT, hit, miss, bits),
-            (_RETURN, 0, 0, _EPERM),
-            (_RETURN, 0, 0, _ALLOW),
+            _Instruction(_LOAD, _ARGUMENT_AT + _ARGUMENT_BYTES * argument),
+            has_bits,
+            _Instruction(_RETURN, _EPERM),
+            _Instruction(_RETURN, _ALLOW),
         )
 
     for call in _CALLS.values():
-        on_call(call, (_RETURN, 0, 0, _EPERM))
+        on_call(call, _Instruction(_RETURN, _EPERM))
     # These calls pass a pointer, which a filter cannot follow. If they do not exist (ENOSYS), the C library
     # uses the older calls, whose arguments a filter can read.
     for call in (_CLONE3, _OPENAT2):
-        on_call(call, (_RETURN, 0, 0, _ENOSYS))
+        on_call(call, _Instruction(_RETURN, _ENOSYS))
     refuse_bits(_CLONE, 0, _CLONE_THREAD, wanted=True)
     refuse_bits(_OPEN, 1, _WRITES, wanted=False)
     refuse_bits(_OPENAT, 2, _WRITES, wanted=False)
     # prlimit64 with new limits: the pointer to them, argument 2, is not null in one of its halves.
+    new_limits_at = _ARGUMENT_AT + _ARGUMENT_BYTES * 2
     on_call(
         _PRLIMIT,
-        (_LOAD, 0, 0, _ARGUMENT_AT + 16),
-        (_EQUAL, 0, 2, 0),
-        (_LOAD, 0, 0, _ARGUMENT_AT + 20),
-        (_EQUAL, 1, 0, 0),
-        (_RETURN, 0, 0, _EPERM),
-        (_RETURN, 0, 0, _ALLOW),
+        _Instruction(_LOAD, new_limits_at),
+        _Instruction(_EQUAL, 0, skip_if_false=2),
+        _Instruction(_LOAD, new_limits_at + _ARGUMENT_BYTES // 2),
+        _Instruction(_EQUAL, 0, skip_if_true=1),
+        _Instruction(_RETURN, _EPERM),
+        _Instruction(_RETURN, _ALLOW),
     )
-    lines.append((_RETURN, 0, 0, _ALLOW))
+    lines.append(_Instruction(_RETURN, _ALLOW))
     return lines

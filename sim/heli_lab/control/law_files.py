@@ -22,7 +22,7 @@ import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final, NamedTuple
 
 from heli_host.board.law_program import FILE_LIMIT_s, LawProgram
 from heli_host.errors import BadLaw, HeliError
@@ -86,7 +86,6 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
     # that you can read.
     # Reading a pipe or a device of this name would never end.
     check_files([path])
-    options = (f"{limits.cpu_s}", f"{limits.memory_MB}")
     # The same message for an endless loop and an endless wait: the computer's load decides which limit ends
     # the process first.
     endless = BadLaw(
@@ -94,9 +93,7 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
         "look for a loop or a wait without an end; --load-timeout allows more",
     )
     try:
-        answer, status = _run_in_process(
-            path, _WAIT_PER_CPU_s * limits.cpu_s + _EXTRA_WAIT_s, rig, options, _MAX_ANSWER_BYTES
-        )
+        answer, status = _run_in_process(path, _WAIT_PER_CPU_s * limits.cpu_s + _EXTRA_WAIT_s, rig, limits)
     except TimeoutError:
         raise endless from None
     if not answer:
@@ -119,11 +116,21 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
     raise BadLaw(cause, remedy)
 
 
+class _EndedProcess(NamedTuple):
+    """What the process of a law file has left."""
+
+    answer: bytes  # Empty if the file ended the process
+    status: int  # Exit status; minus the number of the signal that ended the process
+
+
 def _run_in_process(
-    path: Path, limit_s: float, rig: str | None, options: tuple[str, ...] = (), max_bytes: int = -1
-) -> tuple[bytes, int]:
-    """Run a law file in another process, and return its answer. Returns `answer`, `status`."""
-    fenced = bool(options)
+    path: Path, limit_s: float, rig: str | None, limits: FileLimits | None = None
+) -> _EndedProcess:
+    """Run a law file in another process, which is fenced if there are `limits`."""
+    fenced = limits is not None
+    # `main` reads these words.
+    limit_words = (f"{limits.cpu_s}", f"{limits.memory_MB}") if limits is not None else ()
+    max_bytes = _MAX_ANSWER_BYTES if fenced else -1
     process = subprocess.Popen(
         # -P: a file in the present folder cannot replace a module of Python.
         [
@@ -132,7 +139,7 @@ def _run_in_process(
             "-m",
             "heli_lab.control.law_files",
             str(path.absolute() if fenced else path),
-            *options,
+            *limit_words,
         ],
         env={
             **os.environ,
@@ -156,7 +163,7 @@ def _run_in_process(
         answers.get(timeout=_MAX_START_s)
         answer = answers.get(timeout=limit_s)
         # Without an answer, the process has closed its output and is about to end.
-        return answer, 0 if answer else process.wait(timeout=limit_s)
+        return _EndedProcess(answer, 0 if answer else process.wait(timeout=limit_s))
     except (queue.Empty, subprocess.TimeoutExpired):
         raise TimeoutError from None
     finally:
@@ -288,15 +295,16 @@ def main() -> None:
     """Run the file named on the command line."""
     # Ctrl-C ends the process that waits for the answer, and that process ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    path, limits = Path(sys.argv[1]), [float(word) for word in sys.argv[2:]]
+    path, limit_words = Path(sys.argv[1]), sys.argv[2:]
     sys.argv = [str(path)]
     with _reserved_standard_output() as answers:
         # The limit of time counts from this line on, and not while Python imports this module.
         answers.write(b"begins\n")
         answers.flush()
-        if limits:
+        if limit_words:
+            cpu_s, memory_MB = limit_words
             sys.dont_write_bytecode = True
-            fence_process(FileLimits(limits[0], int(limits[1])))
+            fence_process(FileLimits(float(cpu_s), int(memory_MB)))
             answers.write(json.dumps(_program_or_error(path)).encode())
         else:
             answers.write(pickle.dumps(_answer_to(path)))

@@ -58,16 +58,17 @@ def fly_trial(program: LawProgram | None, options: FlightOptions, plan: Plan) ->
 
 
 def flown_with(
-    program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
+    program: LawProgram | None, options: FlightOptions, plan: Plan, plan_name: str = ""
 ) -> tuple[FlownFlight, str]:
-    """Fly a plan with a law, and return the flight, whether it was completed or not."""
-    # Returns `flown`, and `taken_over`: why the board's own law took over; empty if it did not.
+    """Fly a plan with a law. Return the flight, completed or not, and why the board's own law took over,
+    empty if it did not.
+    """
     from heli_host.board.law_flight import engage
 
     flown = fly_plans(
         options,
         [plan],
-        plan_names=[typed],
+        plan_names=[plan_name],
         on_taken_off=(lambda heli: engage(heli, program)) if program is not None else None,
     )
     # An outcome is such as "law taken over: jump (3.1 V)".

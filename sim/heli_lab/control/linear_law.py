@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import casadi as ca
 import control
@@ -62,15 +62,17 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     # A discrete pole z is that of a continuous system at log(z) / dt.
     discrete_poles = _poles_of_motion(control.feedback(measured, regulator, sign=1), law.dt_s)
     log_poles = np.log(np.maximum(np.abs(discrete_poles), 1e-12)) + 1j * np.angle(discrete_poles)
-    result = LinearisedLaw(log_poles / law.dt_s, (np.nan,) * 2, (np.nan,) * 2, _nonlinearity_V(law))
+    unknown = (np.nan, np.nan)
+    result = LinearisedLaw(
+        log_poles / law.dt_s, gain_up=unknown, phase_deg=unknown, nonlinearity_V=_nonlinearity_V(law)
+    )
     if not result.stable:
         return result
-    (collective_gain, collective_deg), (differential_gain, differential_deg) = (
-        _margins(loop, 0),
-        _margins(loop, 1),
-    )
+    collective, differential = _margins(loop, channel=0), _margins(loop, channel=1)
     return replace(
-        result, gain_up=(collective_gain, differential_gain), phase_deg=(collective_deg, differential_deg)
+        result,
+        gain_up=(collective.gain, differential.gain),
+        phase_deg=(collective.phase_deg, differential.phase_deg),
     )
 
 
@@ -131,10 +133,15 @@ def _linear_regulator(law: Law) -> control.StateSpace:
     )
 
 
-def _margins(loop: control.StateSpace, channel: int) -> tuple[float, float]:
-    """Compute gain and phase margin of a loop at one of its two channels, with the other loop closed.
-    Returns `gain`, `phase_deg`.
-    """
+class _ChannelMargins(NamedTuple):
+    """Stability margins of one of two loops; infinite if the loop never reaches them."""
+
+    gain: float
+    phase_deg: float
+
+
+def _margins(loop: control.StateSpace, channel: int) -> _ChannelMargins:
+    """Compute the margins of a loop at the collective (0) or the differential (1), with the other closed."""
     other_channel = 1 - channel
     A, B, C, D = (np.asarray(matrix) for matrix in (loop.A, loop.B, loop.C, loop.D))
     other_closed_A = A + B[:, [other_channel]] @ C[[other_channel]] / (1.0 - D[other_channel, other_channel])
@@ -151,4 +158,4 @@ def _margins(loop: control.StateSpace, channel: int) -> tuple[float, float]:
     gain = float(gains.min()) if crosses_180_below_1.any() else float("inf")
     crosses_1 = np.diff(np.sign(np.abs(response) - 1.0)) != 0
     margin_deg = float(np.abs(phase_deg[:-1][crosses_1]).min()) if crosses_1.any() else float("inf")
-    return gain, margin_deg
+    return _ChannelMargins(gain, margin_deg)

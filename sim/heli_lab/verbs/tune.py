@@ -100,8 +100,7 @@ def tune(
     if figure is not None:
         from heli_lab.control.tune.trial import figure_of_design
 
-        flights = [(trial.label, trial.flight) for trial in result.trials]
-        save_figure(figure_of_design(result.design, flights), figure, dpi=120)
+        save_figure(figure_of_design(result.design, result.trials), figure, dpi=120)
     say_files((None if failures else save_params, json, figure))
     if failures:
         raise _failed_flights_error(result, save_params)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -57,7 +57,7 @@ _COLLECTIVE_SHARE: Final = 0.75
 beyond it if that is smaller."""
 _MAX_ELEVATION_DEG_S2: Final = 30.0
 _MAX_TRAVEL_DEG_S2: Final = 4.5
-_FILTERS_Hz: Final = (6.0, 16.0, 3.0)
+_ELEVATION_FILTER_Hz, _PITCH_FILTER_Hz, _TRAVEL_FILTER_Hz = 6.0, 16.0, 3.0
 """Cut-offs of the rate filters of elevation, pitch and travel, set by quantisation noise: the rate of travel
 has the largest gain, pitch the fastest loop."""
 _TAKE_OFF_TIME_s, _STEP_TIME_s = 8.0, 10.0
@@ -146,14 +146,16 @@ class _TakeOff:
         plants). Shapes: `closed` (plants, 6, 6).
         """
         nominal_V = self.plants[0].hover_V
-        # Inputs: the collective, the setpoint, and a constant.
+        # The states are those of `elevation_closed`.
+        rate_state, integral_state = 1, 5
+        collective_input, setpoint_input, constant_input = range(3)
         input_matrices = np.zeros((len(self.plants), 6, 3))
         for index, plant in enumerate(self.plants):
-            input_matrices[index, :3, 0] = plant.elevation_B
+            input_matrices[index, :3, collective_input] = plant.elevation_B
             # A plant needs another hover voltage than the nominal one that is fed forward.
-            input_matrices[index, 1, 2] = np.degrees((nominal_V - plant.hover_V) * plant.elevation_gain)
-        # The integral of the error.
-        input_matrices[:, 5, 1] = 1.0
+            acceleration_rad_s2 = (nominal_V - plant.hover_V) * plant.elevation_gain
+            input_matrices[index, rate_state, constant_input] = np.degrees(acceleration_rad_s2)
+        input_matrices[:, integral_state, setpoint_input] = 1.0
         setpoint, rate = self.path_deg[:, 0], self.path_deg[:, 1]
         collective = self.feedforward + pid.kp * setpoint + pid.kd * rate
         inputs = np.column_stack((collective, setpoint, np.ones(len(setpoint))))
@@ -166,7 +168,8 @@ def _design_elevation(
     """Design the elevation loop: its gains, and the board's parameters of path and feed-forward."""
     nominal, nominal_count = plants[0], count_nominal(plants)
     gain = nominal.elevation_gain
-    # The hover voltage rises with elevation, because masses below the axis pull the arm back to level.
+    # The hover voltage rises with elevation, because masses below the axis pull the arm back to level, with
+    # the acceleration A[1, 0] per radian.
     slope_V_rad = -float(nominal.elevation_A[1, 0]) / gain
     acceleration_ff = 1.0 / gain
     spare_V = min(nominal.hover_V, _lift_max_V(rig) - nominal.hover_V)
@@ -179,7 +182,7 @@ def _design_elevation(
 
     def cost(gains: Floats) -> float:
         """Cost of the elevation loop's gains kp, ki and kd, shape (3,)."""
-        pid = _controller_of_gains(gains, _FILTERS_Hz[0])
+        pid = _controller_of_gains(gains, _ELEVATION_FILTER_Hz)
         closed = np.array([loops.elevation_closed(plant, pid) for plant in plants])
         pole_1_s = _slowest_pole_1_s(closed)
         if pole_1_s > -_MIN_DECAY_1_s:
@@ -195,7 +198,7 @@ def _design_elevation(
     # proportional and 0.1 by the integral action.
     crossover = _initial_crossover_rad_s(plants)
     start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
-    pid = _controller_of_gains(_minimise_positive(cost, start), _FILTERS_Hz[0])
+    pid = _controller_of_gains(_minimise_positive(cost, start), _ELEVATION_FILTER_Hz)
     return pid, {
         "hover_V": nominal.hover_V,
         "hover_slope": float(np.radians(slope_V_rad)),
@@ -234,12 +237,14 @@ def _tilt_loops(
 def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensitivity: float) -> _TiltDesign:
     """Design the loops of pitch and travel together."""
     nominal, nominal_count = plants[0], count_nominal(plants)
-    # Masses below the pitch axis pull a tilt back. The feed-forward holds the tilt instead.
+    # Masses below the pitch axis pull a tilt back, with the acceleration A[2, 0] per radian. The feed-forward
+    # holds the tilt instead.
     pitch_hold = -float(nominal.tilt_A[2, 0]) / nominal.pitch_gain
     acceleration_deg_s2 = min(_MAX_TRAVEL_DEG_S2, _PITCH_SHARE * PITCH_SETPOINT_MAX_DEG * nominal.travel_gain)
     path = shaped_step(
         TRAVEL_STEP_DEG, TRAVEL_SLEW_DEG_S, acceleration_deg_s2, _STEP_TIME_s, SIMULATION_STEP_s
     )
+    # Time of the fastest step without a limit of the rate: half of it speeds up, half of it brakes.
     arrival_row = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
     travel_step = TravelStep(plants, pitch_hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
     differential_max_V = _largest_differential_V(rig, nominal.hover_V)
@@ -249,17 +254,9 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
     to_pitch = np.array([response["pitch"] for response in plant_responses])
     to_travel = np.array([response["differential"] - response["pitch"] for response in plant_responses])
 
-    def pids(gains: Floats) -> tuple[Pid, Pid, float]:
-        """Split the seven gains into both controllers and the feed-forward of the travel acceleration."""
-        return (
-            _controller_of_gains(gains[0:3], _FILTERS_Hz[1]),
-            _controller_of_gains(gains[3:6], _FILTERS_Hz[2]),
-            float(gains[6]),
-        )
-
     def cost(gains: Floats) -> float:
         """Cost of the gains of pitch and travel and of the feed-forward, shape (7,)."""
-        pitch, travel, acceleration_ff = pids(gains)
+        pitch, travel, acceleration_ff = _tilt_controllers(gains)
         closed = np.array([loops.tilt_closed(plant, pitch, travel, pitch_hold) for plant in plants])
         pole_1_s = _slowest_pole_1_s(closed)
         if pole_1_s > -_MIN_DECAY_1_s:
@@ -272,7 +269,7 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
         return _log_cost(squares, nominal_count) + penalty
 
     start = _initial_tilt_gains(nominal, _initial_crossover_rad_s(plants))
-    pitch, travel, acceleration_ff = pids(_minimise_positive(cost, start))
+    pitch, travel, acceleration_ff = _tilt_controllers(_minimise_positive(cost, start))
     return _TiltDesign(
         pitch=pitch,
         travel=travel,
@@ -289,6 +286,23 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
             "travel_gain": nominal.travel_gain,
             "travel_motion_deg": travel_motion_deg(nominal.travel_gain),
         },
+    )
+
+
+class _TiltControllers(NamedTuple):
+    """The controllers that the seven gains of a search stand for."""
+
+    pitch: Pid
+    travel: Pid
+    acceleration_ff: float  # Feed-forward of the travel acceleration
+
+
+def _tilt_controllers(gains: Floats) -> _TiltControllers:
+    """Split the gains of a search, in the order of `_initial_tilt_gains`."""
+    return _TiltControllers(
+        _controller_of_gains(gains[0:3], _PITCH_FILTER_Hz),
+        _controller_of_gains(gains[3:6], _TRAVEL_FILTER_Hz),
+        float(gains[6]),
     )
 
 

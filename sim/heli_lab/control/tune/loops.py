@@ -16,7 +16,7 @@ import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -203,7 +203,8 @@ def linear_plant(
     # The states are elevation, pitch, travel, their rates, and sum and difference of the thrusts.
     elevation, tilt = [0, 3, 6], [1, 2, 4, 5, 7]
     hover_V = float(np.sum(hover.volts_V) - 2.0 * rig["dead_zone"].value)
-    if A[5, 1] <= 0.0:
+    travel_per_pitch = A[5, 1]  # Acceleration of travel by a pitch
+    if travel_per_pitch <= 0.0:
         raise PlantError(
             f"rig '{rig.name}' hovers on {hover_V:.2f} V of lift, too little to move travel by tilting",
             "reduce its counterweight",
@@ -434,21 +435,20 @@ def margins(plant: LinearPlant, law: CascadeGains) -> dict[str, Margin]:
     gain_crossings = _sign_changes(plant, law, grid, _log_magnitude)
     result = {}
     for name, loop in grid.items():
-        _, real_responses = phase_crossings[name]
+        real_gains = phase_crossings[name].loop_gains.real
         # Where the loop gain is real and negative, this factor would bring it to -1.
-        negative = real_responses.real[real_responses.real < 0.0]
-        gains = -1.0 / negative
-        crossings, responses = gain_crossings[name]
-        phases_deg = np.mod(np.degrees(np.angle(responses)), 360.0) - 180.0
+        factors = -1.0 / real_gains[real_gains < 0.0]
+        crossovers = gain_crossings[name]
+        phases_deg = np.mod(np.degrees(np.angle(crossovers.loop_gains)), 360.0) - 180.0
         # The phase margin is the distance to -180 deg in either direction, the delay margin only downwards.
         lost_deg = np.mod(phases_deg, 360.0)
         result[name] = Margin(
-            gain_up=float(np.min(gains[gains > 1.0], initial=np.inf)),
-            gain_down=float(np.max(gains[gains < 1.0], initial=0.0)),
+            gain_up=float(np.min(factors[factors > 1.0], initial=np.inf)),
+            gain_down=float(np.max(factors[factors < 1.0], initial=0.0)),
             phase_deg=float(np.min(np.abs(phases_deg), initial=np.inf)),
-            delay_s=float(np.min(np.radians(lost_deg) / crossings, initial=np.inf)),
+            delay_s=float(np.min(np.radians(lost_deg) / crossovers.frequency_rad_s, initial=np.inf)),
             sensitivity=peak_sensitivity(loop),
-            crossover_rad_s=float(np.max(crossings, initial=0.0)),
+            crossover_rad_s=float(np.max(crossovers.frequency_rad_s, initial=0.0)),
         )
     return result
 
@@ -463,14 +463,21 @@ def _log_magnitude(loop: ComplexArray) -> Floats:
     return np.asarray(np.log(np.abs(loop)))
 
 
+class _Crossings(NamedTuple):
+    """Frequencies at which a function of a loop gain changes sign."""
+
+    frequency_rad_s: Floats  # (k,)
+    loop_gains: ComplexArray  # (k,): Loop gain at each frequency
+
+
 def _sign_changes(
     plant: LinearPlant,
     law: CascadeGains,
     grid: dict[str, ComplexArray],
     value: Callable[[ComplexArray], Floats],
-) -> dict[str, tuple[Floats, ComplexArray]]:
+) -> dict[str, _Crossings]:
     """Find the frequencies at which a real function of each loop gain changes sign, by bisection. Shapes:
-    `grid` (n,); returns (k,).
+    `grid` (n,).
     """
     # All loops are bisected together: `control.stability_margins` interpolates one point per call and takes a
     # hundred times as long.
@@ -493,7 +500,10 @@ def _sign_changes(
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     middle = 0.5 * (low + high)
     gains = gains_at(middle)
-    return {name: (middle[loop_index == i], gains[loop_index == i]) for i, name in enumerate(grid)}
+    return {
+        name: _Crossings(middle[loop_index == index], gains[loop_index == index])
+        for index, name in enumerate(grid)
+    }
 
 
 def is_stable(plant: LinearPlant, law: CascadeGains) -> bool:

@@ -140,7 +140,7 @@ def flight_metrics(
     in_step = _rows_between(t_s, phases.step_s, phases.back_s)
     in_step_back = _rows_between(t_s, phases.back_s, phases.sine_s)
     in_sines = _rows_between(t_s, phases.sine_s, phases.end_s)
-    error_deg = angles_deg[in_sines] - path_deg(t_s[in_sines])
+    elevation_error_deg, _, travel_error_deg = (angles_deg[in_sines] - path_deg(t_s[in_sines])).T
     elevation_count_deg, _, travel_count_deg = np.rad2deg(count_rad(flight)).tolist()
     steps = [
         step_metrics(t_s[in_step] - phases.step_s, travel[in_step], 0.0, TRAVEL_STEP_DEG, travel_count_deg),
@@ -156,8 +156,8 @@ def flight_metrics(
         take_off_s=_nan_to_infinite(take_off.settling_s),
         overshoot_percent=max(_nan_to_infinite(metrics.overshoot_percent) for metrics in steps),
         settling_time_s=max(_nan_to_infinite(metrics.settling_s) for metrics in steps),
-        travel_rms_deg=_nan_to_infinite(rms(error_deg[:, 2])),
-        elevation_rms_deg=_nan_to_infinite(rms(error_deg[:, 0])),
+        travel_rms_deg=_nan_to_infinite(rms(travel_error_deg)),
+        elevation_rms_deg=_nan_to_infinite(rms(elevation_error_deg)),
         pitch_max_deg=float(np.abs(pitch).max(initial=0.0)),
     )
 
@@ -178,13 +178,13 @@ _AXIS_LIMIT: Final = 2.2
 _FONT_SIZE: Final = 8
 
 
-def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> Figure:
-    """Draw a design and flights with its gains."""
+def figure_of_design(design: Design, trials: Sequence[Trial]) -> Figure:
+    """Draw a design and the test flights with its gains."""
     figure = Figure(figsize=(14, 7.2), layout="constrained")
     grid = figure.add_gridspec(4, 4, width_ratios=[1.0, 1.0, 1.1, 1.1])
     first = figure.add_subplot(grid[0, :2])
     panels = [first, *(figure.add_subplot(grid[row, :2], sharex=first) for row in range(1, 4))]
-    _draw_flights(panels, flights)
+    _draw_flights(panels, trials)
     for number, loop in enumerate(LOOPS):
         row, column = 2 * (number // 2), 2 + number % 2
         axes = figure.add_subplot(grid[row : row + 2, column])
@@ -196,14 +196,17 @@ def figure_of_design(design: Design, flights: Sequence[tuple[str, Flight]]) -> F
     return figure
 
 
-def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]]) -> None:
+def _draw_flights(panels: Sequence[Axes], trials: Sequence[Trial]) -> None:
     """Draw angles with their setpoints, and the front motor's voltage, over time."""
-    for (label, flight), colour in zip(flights, _COLOURS, strict=False):
+    *angle_panels, voltage_panel = panels
+    for trial, colour in zip(trials, _COLOURS, strict=False):
+        flight = trial.flight
         angles_deg = np.rad2deg(flight.angles_rad)
-        for index, axes in enumerate(panels[:3]):
-            axes.plot(flight.t_s, angles_deg[:, index], color=colour, lw=0.9, label=label)
-        panels[3].plot(flight.t_s, flight.front_V, color=colour, lw=0.5)
-    _, first = flights[0]
+        for index, axes in enumerate(angle_panels):
+            axes.plot(flight.t_s, angles_deg[:, index], color=colour, lw=0.9, label=trial.label)
+        voltage_panel.plot(flight.t_s, flight.front_V, color=colour, lw=0.5)
+    # All flights follow the same setpoints.
+    first = trials[0].flight
     setpoints = (first.elevation_setpoint_rad, None, first.travel_setpoint_rad)
     for index, setpoint_rad in enumerate(setpoints):
         if setpoint_rad is not None:
@@ -212,8 +215,8 @@ def _draw_flights(panels: Sequence[Axes], flights: Sequence[tuple[str, Flight]])
                 first.t_s, np.rad2deg(setpoint_rad), color=_SETPOINT_COLOUR, lw=0.9, ls="--", label=label
             )
         panels[index].set_ylabel(f"{AXES[index]} [deg]")
-    panels[3].set_ylabel("front motor [V]")
-    panels[3].set_xlabel("time since take-off [s]")
+    voltage_panel.set_ylabel("front motor [V]")
+    voltage_panel.set_xlabel("time since take-off [s]")
     panels[0].legend(loc="lower right", fontsize=_FONT_SIZE)
     panels[0].set_title("Simulated flights with the flight code", loc="left", fontsize=10)
     for axes in panels:
