@@ -115,14 +115,16 @@ def _run_cases(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[_
     store, code = Store(folder / "campaign"), code_of_rows()
     keys = {case.key(code): case.name for case in campaign_cases.values()}
     # An earlier result is used only if the same code made it.
-    again = (lambda _: True) if options.keep else (lambda answer: bool(answer.failure))
-    known = {} if options.keep else store.read(keys)
-    for answer in known.values():
-        if not answer.failure:
-            yield _CaseResult(Row.read(answer.detail))
+    is_repeated = (lambda _: True) if options.keep else (lambda result: bool(result.failure))
+    stored = {} if options.keep else store.read(keys)
+    for result in stored.values():
+        if not result.failure:
+            yield _CaseResult(Row.read(result.detail))
     campaign = Campaign("blind", tuple(campaign_cases.values()))
     try:
-        for result in campaign_results(campaign, store, processes=options.processes, code=code, again=again):
+        for result in campaign_results(
+            campaign, store, processes=options.processes, code=code, is_repeated=is_repeated
+        ):
             if result.failure:
                 yield _CaseResult(None, f"{result.name}: {result.failure}")
             else:

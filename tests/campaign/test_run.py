@@ -86,7 +86,9 @@ def test_cases_are_repeated_on_request(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     store = Store(tmp_path / "out")
     run_campaign(logged(tmp_path, log), store, code="test")
-    run_campaign(logged(tmp_path, log), store, code="test", again=lambda answer: answer.row["square"] == 4)
+    run_campaign(
+        logged(tmp_path, log), store, code="test", is_repeated=lambda result: result.row["square"] == 4
+    )
     assert log.read_text().split()[4:] == ["2"]
 
 

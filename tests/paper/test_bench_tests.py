@@ -126,7 +126,16 @@ def test_pinned_axes_stay_where_they_are_and_the_free_one_is_released_from_its_a
 
 
 def test_a_test_that_runs_into_a_stop_is_refused_by_name() -> None:
-    hard = BenchTest("much too hard", "17 (a)", (False, True, True), -25.0, 0.0, 4.0, 4.0, 5.0)
+    hard = BenchTest(
+        "much too hard",
+        17,
+        "(a)",
+        (False, True, True),
+        elevation_deg=-25.0,
+        front_V=4.0,
+        back_V=4.0,
+        duration_s=5.0,
+    )
     plant = Plant(MultibodyModel(), RIG)
     with pytest.raises(IdentifyError, match=r"much too hard.*stop"):
         record_of(hard, run_bench_test(hard, plant), RIG)

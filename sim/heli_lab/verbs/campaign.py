@@ -99,7 +99,7 @@ def campaign(
                 store,
                 scheduler=scheduler,
                 processes=workers or _usable_core_count(),
-                again=(lambda answer: bool(answer.failure)) if retry else None,
+                is_repeated=(lambda result: bool(result.failure)) if retry else None,
                 on_progress=show,
             )
         except KeyboardInterrupt:

@@ -164,7 +164,7 @@ def figures(
 
     from heli_lab.apps.paper import figures
     from heli_lab.apps.paper.experiments import read_thrust
-    from heli_lab.apps.paper.tables import fit_table
+    from heli_lab.apps.paper.tables import TESTS_OF_TABLE, fit_table
 
     check_result_places(folder / "fig15.png")
     plant = _flyable_plant(rig, model)
@@ -181,7 +181,10 @@ def figures(
         for place, number in enumerate(records):
             bar.show(f"fitting Table {number}", 0.05 + 0.1 * place)
             table = fit_table(number, plant.rig, records[number])
-            write(f"fig{number + 13}.png", figures.bench_figure(table, records[number], plant.rig))
+            write(
+                f"fig{TESTS_OF_TABLE[number][0].figure}.png",
+                figures.bench_figure(table, records[number], plant.rig),
+            )
         write("fig19.png", figures.sensitivity_figure(plant.rig))
         flights = _fly_plans(
             _with_heavier_rotor(plant), seed, lambda stage, done: bar.show(stage, 0.35 + 0.6 * done)

@@ -138,6 +138,6 @@ class Campaign:
             seen.add(case.name)
 
     @property
-    def works(self) -> tuple[str, ...]:
+    def work_functions(self) -> tuple[str, ...]:
         """Functions that run the cases."""
         return tuple(sorted({case.work for case in self.cases}))

@@ -159,7 +159,7 @@ def write_summary(campaign: Campaign, summary: Summary, folder: Path) -> Path:
         title=campaign.title,
         summary=summary,
         cases=len(campaign.cases),
-        works=campaign.works,
+        works=campaign.work_functions,
         worst_by=campaign.worst.removeprefix("-"),
         varied=_varied_settings(campaign),
         picture=picture,

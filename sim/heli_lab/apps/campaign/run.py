@@ -50,7 +50,7 @@ def run_campaign(
     scheduler: str | None = None,
     processes: int = 1,
     code: str | None = None,
-    again: Callable[[JobResult], bool] | None = None,
+    is_repeated: Callable[[JobResult], bool] | None = None,
     on_progress: Callable[[CampaignProgress], None] | None = None,
 ) -> list[dict[str, Any]]:
     """Run all cases that have no result yet, and write the table of all cases.
@@ -67,7 +67,7 @@ def run_campaign(
         Number of cases that run in parallel on this machine.
     code : str, optional
         Digest of the code, if results do not depend on the code of the installed packages.
-    again : callable, optional
+    is_repeated : callable, optional
         Takes a stored result, and returns whether the case is run again.
     on_progress : callable, optional
         Called with the progress of the campaign after each case.
@@ -84,7 +84,7 @@ def run_campaign(
         stored.
     """
     rows: dict[str, dict[str, Any]] = {}
-    with closing(_run(campaign, store, rows, scheduler, processes, code, again)) as states:
+    with closing(_run(campaign, store, rows, scheduler, processes, code, is_repeated)) as states:
         for state in states:
             if on_progress is not None:
                 on_progress(state)
@@ -98,7 +98,7 @@ def campaign_results(
     scheduler: str | None = None,
     processes: int = 1,
     code: str | None = None,
-    again: Callable[[JobResult], bool] | None = None,
+    is_repeated: Callable[[JobResult], bool] | None = None,
 ) -> Iterator[JobResult]:
     """Run a campaign, and yield the result of each case as soon as the case has ended.
 
@@ -106,7 +106,7 @@ def campaign_results(
 
     Parameters
     ----------
-    campaign, store, scheduler, processes, code, again
+    campaign, store, scheduler, processes, code, is_repeated
         See `run_campaign`.
 
     Raises
@@ -115,7 +115,7 @@ def campaign_results(
         When the cluster cannot be used, or stops before all cases have ended. All results up to then are
         stored.
     """
-    with closing(_run(campaign, store, {}, scheduler, processes, code, again)) as states:
+    with closing(_run(campaign, store, {}, scheduler, processes, code, is_repeated)) as states:
         for state in states:
             if state.newest is not None:
                 # A worker that can write to the store leaves the details there, and reports the row only.
@@ -129,16 +129,16 @@ def _run(
     scheduler: str | None,
     processes: int,
     code: str | None,
-    again: Callable[[JobResult], bool] | None,
+    is_repeated: Callable[[JobResult], bool] | None,
 ) -> Generator[CampaignProgress, None, None]:
     """Run the cases without a result, add the row of each case to `rows`, and yield the progress."""
     digest = _code_digest_of(campaign) if code is None else code
     # Even if results do not depend on the installed code, all workers need the same packages.
-    works, worker_code = (campaign.works, digest) if code is None else ((), code_digest())
+    work_functions, worker_code = (campaign.work_functions, digest) if code is None else ((), code_digest())
     cases = {case.key(digest): case for case in campaign.cases}
     with store.locked():
         stored = store.read(cases)
-        repeated = [key for key, result in stored.items() if again is not None and again(result)]
+        repeated = [key for key, result in stored.items() if is_repeated is not None and is_repeated(result)]
         store.remove(repeated)
         rows |= {key: _row(cases[key], result) for key, result in stored.items() if key not in repeated}
         failed = sum(bool(row["failure"]) for row in rows.values())
@@ -147,7 +147,7 @@ def _run(
                 case=case,
                 key=key,
                 code=worker_code,
-                works=works,
+                work_functions=work_functions,
                 limits=campaign.limits,
                 cases=str(store.cases.resolve()),
                 token=store.token,
@@ -172,10 +172,10 @@ def _run(
 def _code_digest_of(campaign: Campaign) -> str:
     """Compute the digest of the code that runs the cases; a CampaignError reports a missing module."""
     try:
-        return code_digest(campaign.works, campaign.modules)
+        return code_digest(campaign.work_functions, campaign.modules)
     except ImportError as error:
         raise CampaignError(
-            f"work = {', '.join(campaign.works)}: {error}",
+            f"work = {', '.join(campaign.work_functions)}: {error}",
             "put the module into the folder of the campaign file, or install it",
         ) from None
 
@@ -201,8 +201,8 @@ def _run_jobs(
         return
     with _client(scheduler, min(processes, len(jobs))) as client:
         # Code, functions and modules are the same in all jobs.
-        code, works, modules = jobs[0].code, jobs[0].works, jobs[0].modules
-        replies = client.run(code_difference, code, works, modules, on_error="return")
+        code, work_functions, modules = jobs[0].code, jobs[0].work_functions, jobs[0].modules
+        replies = client.run(code_difference, code, work_functions, modules, on_error="return")
         unusable = {address for address, reply in replies.items() if reply}
         for address in sorted(unusable):
             reply = replies[address]

@@ -45,7 +45,7 @@ class Job:
     case: Case  # Case to run
     key: str  # Key under which the result is stored
     code: str  # Digest of the campaign's code
-    works: tuple[str, ...]  # Functions that the digest covers
+    work_functions: tuple[str, ...]  # Functions that the digest covers
     limits: Limits  # Limits of CPU time, time and threads
     cases: str  # Folder of the results
     token: str
@@ -58,10 +58,10 @@ class CodeMismatchError(Exception):
     """The code of a worker differs from the campaign's; its arguments are the worker and the difference."""
 
 
-def code_difference(code: str, works: tuple[str, ...], modules: str = "") -> str:
+def code_difference(code: str, work_functions: tuple[str, ...], modules: str = "") -> str:
     """Describe the difference between the code of this process and the campaign's; empty if there is none."""
     try:
-        worker_code = code_digest(works, modules)
+        worker_code = code_digest(work_functions, modules)
     except ImportError as error:
         return str(error)
     return "" if worker_code == code else f"its code has the digest {worker_code}, the campaign's has {code}"
@@ -72,10 +72,12 @@ def run_job(job: Job) -> JobResult:
     # If the result is stored already, the case is not run again: a cluster that loses a worker submits its
     # cases a second time. If this worker can write to the folder of the results, it stores the result there
     # and returns the row of the table only.
-    difference = code_difference(job.code, job.works, job.modules)
+    difference = code_difference(job.code, job.work_functions, job.modules)
     if difference:
         raise CodeMismatchError(worker_name(), difference)
     cases = Path(job.cases)
+    # The file of this name proves that the folder is that of the campaign, and not one of the same path on
+    # another machine.
     token_file = cases.with_name("store.txt")
     sees_store = token_file.is_file() and token_file.read_text() == job.token
     result = read_result(cases, job.key) if sees_store else None
@@ -103,7 +105,7 @@ _processes: Final[dict[int, tuple[str, WorkerProcess]]] = {}
 def _process_of_thread(job: Job) -> WorkerProcess:
     """Return the process of this thread, or a new one if its code, modules or threads are not the job's."""
     thread = threading.get_ident()
-    code, process = _processes.get(thread, ("", None))
+    code, process = _processes.get(thread, ("", None))  # ("", None): this thread has no process yet
     if (
         process is None
         or code != job.code

@@ -302,7 +302,7 @@ def fly_on_rig(
             try:
                 is_confirmed, has_fault = _confirm_flight(options.port, submission.name, confirm)
                 if is_confirmed is None:
-                    return
+                    return  # The person at the rig has ended the session.
                 outcome = NOT_FLOWN
                 if is_confirmed:
                     log = new_rig_log(marked.folder)

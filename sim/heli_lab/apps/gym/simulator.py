@@ -133,7 +133,8 @@ _CARRY_S, _CARRY_STEPS = 0.5, 50
 there. The arm then turns at most 20 deg/s, far below the rate at which the board reports a fault."""
 _MAX_PLANTS: Final = 32
 """Largest number of compiled plants to keep."""
-_LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max", "table_damping")
+_ANGLE_LIMITS: Final = ("elevation_min", "elevation_max", "pitch_max", "travel_max")
+_LIMITS: Final = (*_ANGLE_LIMITS, "table_damping")
 """Rig parameters that follow those of the model in the arguments of a compiled plant."""
 _SETTLING_STEPS, _SETTLING_TICKS = 20, 20
 """Number of steps, and length of each [ms], until lagging thrusts have reached hover: 0.4 s in total."""
@@ -182,10 +183,11 @@ class PlantAlone(Simulator):
             self._plants[key] = Plant(model, drawn.rig, seed)
         plant = self._plants[key]
         self._key, self._plant = key, plant
+        # A step takes the parameters of the model, then `_LIMITS`, then those that do not depend on the rig.
         limits = plant.parameters[len(model.parameters) :].copy()
-        limits[:5] = [drawn.rig[name].value for name in _LIMITS]
+        limits[: len(_LIMITS)] = [drawn.rig[name].value for name in _LIMITS]
         self._parameters = np.array([*model.parameter_values(drawn.rig), *limits])
-        self._limits_rad = np.deg2rad(limits[:4])
+        self._limits_rad = np.deg2rad([drawn.rig[name].value for name in _ANGLE_LIMITS])
         self._count_rad = count_rad(drawn.rig)
         # Random effects keep their random numbers in the state, so that the seed must be that of the episode.
         seeded = Plant(model, drawn.rig, seed) if plant.extras.random else plant
@@ -231,11 +233,13 @@ class PlantAlone(Simulator):
             library = compile_function(step)
             if library is not None:
                 step = ca.external(step.name(), str(library))
-            x, u = ca.MX.sym("state", step.numel_in(0)), ca.MX.sym("volts_V", 2)
-            p, after, measured = ca.MX.sym("parameters", step.numel_in(3)), x, ca.MX.zeros(3)
+            start = ca.MX.sym("state", step.numel_in(0))
+            volts_V, parameters = ca.MX.sym("volts_V", 2), ca.MX.sym("parameters", step.numel_in(3))
+            no_axis_locked = ca.MX.zeros(3)
+            state, measured = start, ca.MX.zeros(3)
             for _ in range(ticks):
-                after, measured = step(after, u, ca.MX.zeros(3), p)
-            self._run[key] = ca.Function("ticks", [x, u, p], [after, measured])
+                state, measured = step(state, volts_V, no_axis_locked, parameters)
+            self._run[key] = ca.Function("ticks", [start, volts_V, parameters], [state, measured])
         return self._run[key]
 
     def _measured_result(self, measured_rad: Floats) -> StepResult:

@@ -50,7 +50,8 @@ class BenchTest:
     """Experiment on a rig with some axes locked."""
 
     name: str  # Name in lists and records
-    panel: str  # Figure and panel of the paper, such as ``16 (a)``
+    figure: int  # figure, panel: Its place in the paper, such as 16, ``(a)``
+    panel: str
     locked: tuple[bool, bool, bool]  # Whether elevation, pitch and travel are locked
     elevation_deg: float = 0.0  # Initial elevation; all axes are locked until the test starts
     pitch_deg: float = 0.0  # Initial pitch
@@ -60,16 +61,44 @@ class BenchTest:
 
 
 PITCH_RELEASES: Final = (
-    BenchTest("pitch released from 13 deg", "16 (a)", (True, False, True), pitch_deg=13.0),
-    BenchTest("pitch released from 8.8 deg", "16 (b)", (True, False, True), pitch_deg=8.8),
+    BenchTest("pitch released from 13 deg", 16, "(a)", (True, False, True), pitch_deg=13.0),
+    BenchTest("pitch released from 8.8 deg", 16, "(b)", (True, False, True), pitch_deg=8.8),
 )
 ELEVATION_STEPS: Final = (
-    BenchTest("elevation, 1.5 V each", "17 (a)", (False, True, True), TABLE_DEG, 0.0, 1.5, 1.5, 30.0),
-    BenchTest("elevation, 1.7 V each", "17 (b)", (False, True, True), TABLE_DEG, 0.0, 1.7, 1.7, 30.0),
+    BenchTest(
+        "elevation, 1.5 V each",
+        17,
+        "(a)",
+        (False, True, True),
+        elevation_deg=TABLE_DEG,
+        front_V=1.5,
+        back_V=1.5,
+        duration_s=30.0,
+    ),
+    BenchTest(
+        "elevation, 1.7 V each",
+        17,
+        "(b)",
+        (False, True, True),
+        elevation_deg=TABLE_DEG,
+        front_V=1.7,
+        back_V=1.7,
+        duration_s=30.0,
+    ),
 )
 TRAVEL_STEPS: Final = (
-    BenchTest("travel, 1.85 V and 1.55 V", "18 (a)", (True, False, False), 0.0, 0.0, 1.85, 1.55, 7.5),
-    BenchTest("travel, 2.1 V and 1.6 V", "18 (b)", (True, False, False), 0.0, 0.0, 2.1, 1.6, 5.5),
+    BenchTest(
+        "travel, 1.85 V and 1.55 V",
+        18,
+        "(a)",
+        (True, False, False),
+        front_V=1.85,
+        back_V=1.55,
+        duration_s=7.5,
+    ),
+    BenchTest(
+        "travel, 2.1 V and 1.6 V", 18, "(b)", (True, False, False), front_V=2.1, back_V=1.6, duration_s=5.5
+    ),
 )
 
 THRUST_V: Final[tuple[float, ...]] = (0.5, *(float(volts) for volts in range(1, 11)))

@@ -29,7 +29,8 @@ MODEL_COLOUR: Final = "#d1495b"
 PRINTED_COLOUR: Final = "#0b5fa5"
 GREY_COLOUR: Final = "#8a8a8a"
 _AXIS_OF_TABLE: Final = {3: "pitch", 4: "elevation", 5: "travel"}
-_FIGURE_OF_TABLE: Final = {3: "16", 4: "17", 5: "18"}
+_ELEVATION, _PITCH, _TRAVEL = range(3)
+"""Columns of the angles."""
 _PANEL_SIZE: Final = (6.4, 3.4)
 _SINGLE_WINDOW_s: Final = 1000.0
 """Length of a window that contains any test as a whole."""
@@ -79,18 +80,16 @@ def bench_figure(table: Table, records: Sequence[Record], rig: Rig) -> Figure:
         measured_deg, predicted_deg = np.rad2deg(run.measured_rad), np.rad2deg(run.predicted_rad)
         panel.plot(run.t_s, measured_deg[:, column], color=MEASURED_COLOUR, label="measured")
         panel.plot(run.t_s, predicted_deg[:, column], "--", color=MODEL_COLOUR, label="(30), identified")
-        if table.number == 5:
-            panel.plot(run.t_s, measured_deg[:, 1], color=GREY_COLOUR, lw=0.8, label="pitch, measured")
+        if axis == "travel":
+            panel.plot(run.t_s, measured_deg[:, _PITCH], color=GREY_COLOUR, lw=0.8, label="pitch, measured")
         error_deg = np.rad2deg(run.measured_rad[:, column] - run.predicted_rad[:, column])
         rms_deg = float(np.sqrt(np.mean(error_deg**2)))
         panel.set_title(
-            f"{test.panel[3:]} {test.name}: error {rms_deg:.3f} deg rms over the whole run", fontsize=9
+            f"{test.panel} {test.name}: error {rms_deg:.3f} deg rms over the whole run", fontsize=9
         )
         finish(panel, f"{axis} angle [deg]")
     panels[-1].set_xlabel("time [s]")
-    figure.suptitle(
-        f"Measured and simulated at the {axis} axis (after Fig. {_FIGURE_OF_TABLE[table.number]})"
-    )
+    figure.suptitle(f"Measured and simulated at the {axis} axis (after Fig. {tests[0].figure})")
     return figure
 
 
@@ -149,15 +148,16 @@ _TAKE_OFF_SETTLE_S: Final = 1.0
 def hover_figure(flights: Sequence[PaperFlight]) -> Figure:
     """Draw Fig. 21: pitch, elevation and travel over time at hover."""
     figure, panels = _figure_with_panels(3, "Pitch, elevation and travel while hovering (after Fig. 21)")
-    for panel, axis in zip(panels, (1, 0, 2), strict=True):
-        _draw_angle(panel, flights, axis, desired=axis != 1)
+    for panel, axis in zip(panels, (_PITCH, _ELEVATION, _TRAVEL), strict=True):
+        # The plan gives no pitch: the travel loop does.
+        _draw_angle(panel, flights, axis, desired=axis != _PITCH)
     return figure
 
 
 def response_figure(flights: Sequence[PaperFlight], path: str, number: int) -> Figure:
     """Draw Fig. 22 or 24, its `number`: travel and elevation along a `path`, which the title names."""
     figure, panels = _figure_with_panels(2, f"Response during flight along the {path} (after Fig. {number})")
-    for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
+    for letter, panel, axis in zip("ab", panels, (_TRAVEL, _ELEVATION), strict=True):
         _draw_angle(panel, flights, axis, desired=True)
         panel.set_title(f"({letter}) {AXES[axis]} angle", fontsize=9)
     return figure
@@ -170,7 +170,7 @@ def performance_figure(flights: Sequence[PaperFlight], path: str, number: int) -
     figure, panels = _figure_with_panels(
         2, f"Tracking performance along the {path} (after Fig. {number})", "; take-off left out"
     )
-    for letter, panel, axis in zip("ab", panels, (2, 0), strict=True):
+    for letter, panel, axis in zip("ab", panels, (_TRAVEL, _ELEVATION), strict=True):
         for flight, colour in zip(flights, _COLOURS, strict=False):
             is_airborne = flight.flight.t_s > take_off_end_s(flight)
             t_s, error_deg = flight.flight.t_s[is_airborne], flight.error_deg[is_airborne, axis]
@@ -215,7 +215,9 @@ def _draw_angle(panel: Axes, flights: Sequence[PaperFlight], axis: int, *, desir
         label = f"{flight.label}{fault}"
         angle_deg = np.rad2deg(flight.flight.angles_rad[:, axis])
         panel.plot(flight.flight.t_s, angle_deg, color=colour, lw=0.9, label=label)
-        if axis == 1:
+        if axis == _PITCH:
             label = f"{flight.label}, setpoint"
-            panel.plot(flight.flight.t_s, flight.desired_deg[:, 1], ":", color=colour, lw=0.7, label=label)
+            panel.plot(
+                flight.flight.t_s, flight.desired_deg[:, _PITCH], ":", color=colour, lw=0.7, label=label
+            )
     finish(panel, f"{AXES[axis]} [deg]")

@@ -69,20 +69,23 @@ class _FitPlan:
 
 _PLANS: Final[Mapping[int, _FitPlan]] = {
     3: _FitPlan(
-        ("P_7", "P_8", "P_9", "P_10"), (), "offset_pitch", {"P_11": "not identified: the motors are off"}
+        free=("P_7", "P_8", "P_9", "P_10"),
+        absorbed=(),
+        offset="offset_pitch",
+        unidentified={"P_11": "not identified: the motors are off"},
     ),
     4: _FitPlan(
-        ("P_1", "P_2", "P_3", "P_4", "P_6"),
-        ("P_5",),
-        "offset_elevation",
-        dict.fromkeys(("P_1", "P_5"), "identified only as P_1 + P_5: pitch is locked at 0"),
+        free=("P_1", "P_2", "P_3", "P_4", "P_6"),
+        absorbed=("P_5",),
+        offset="offset_elevation",
+        unidentified=dict.fromkeys(("P_1", "P_5"), "identified only as P_1 + P_5: pitch is locked at 0"),
     ),
     5: _FitPlan(
-        ("P_12", "P_13", "P_14", "P_16", "P_15", "P_8", "P_9", "P_10", "P_11"),
-        ("P_7", "P_17", "P_18"),
-        "offset_pitch",
-        dict.fromkeys(("P_15", "P_17", "P_18"), "not identified: two tests, three unknowns"),
-        ("P_15",),
+        free=("P_12", "P_13", "P_14", "P_16", "P_15", "P_8", "P_9", "P_10", "P_11"),
+        absorbed=("P_7", "P_17", "P_18"),
+        offset="offset_pitch",
+        unidentified=dict.fromkeys(("P_15", "P_17", "P_18"), "not identified: two tests, three unknowns"),
+        per_test=("P_15",),
     ),
 }
 
@@ -124,8 +127,10 @@ def fit_table(
     # A coefficient that contains the terms of absorbed ones starts at their sum.
     start = from_masses | dict.fromkeys(plan.absorbed, 0.0)
     if number == 4:
+        # Pitch is locked at 0, where P_1 and P_5 act alike.
         start["P_1"] = from_masses["P_1"] + from_masses["P_5"]
     if number == 5:
+        # Each test has constant voltages, so that P_15 stands for the whole factor of the sine of pitch.
         start["P_15"] = _sine_factor(from_masses, TRAVEL_STEPS[0])
     locked = TESTS_OF_TABLE[number][0].locked
     prior_std = {name: _PRIOR_STD[name] for name in plan.free}
@@ -312,7 +317,7 @@ def fit_rig(
         for name, std in fit.std.items():
             half_interval = _STD_PER_HALF_INTERVAL * std
             if name in rig and (name not in best or half_interval < best[name].half_interval):
-                source = f"Fig. {tests[0].panel[:2]}"
+                source = f"Fig. {tests[0].figure}"
                 best[name] = _ParameterEstimate(fit.params[name], half_interval, source)
     parameter_rows = [_parameter_row(name, rig, best) for name in (*_IN_TABLE, *_NOT_IN_TABLE)]
     return RigTable((*parameter_rows, *_inertia_rows(rig)), normalised)
