@@ -53,7 +53,7 @@ def figure_of_pair(before: PairFit, after: PairFit, title: str) -> Figure:
 
     figure = Figure(figsize=(9, 5.2))
     angle, pitch, travel = figure.subplots(3, 1, sharex=True, height_ratios=[2, 1.3, 1.3])
-    figure.subplots_adjust(0.085, 0.09, 0.985, 0.93, hspace=0.12)
+    figure.subplots_adjust(left=0.085, bottom=0.09, right=0.985, top=0.93, hspace=0.12)
     figure.suptitle(title, fontsize=10)
     for fitted, colour, label in ((before, _BEFORE, "baseline"), (after, _AFTER, "extended")):
         seen = trace(fitted.run.fit)
@@ -88,7 +88,7 @@ def figure_of_sizes(sizes: Mapping[str, Sequence[tuple[float, float]]], names: S
 
     figure = Figure(figsize=(9, 2.9))
     panels = figure.subplots(1, len(sizes), squeeze=False)[0]
-    figure.subplots_adjust(0.07, 0.2, 0.985, 0.88, wspace=0.3)
+    figure.subplots_adjust(left=0.07, bottom=0.2, right=0.985, top=0.88, wspace=0.3)
     place = np.arange(len(names))
     for axes, (label, values) in zip(panels, sizes.items(), strict=True):
         for flight, colour in ((0, _AFTER), (1, _BEFORE)):

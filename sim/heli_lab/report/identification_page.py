@@ -32,17 +32,17 @@ def identification_figure(trace: Trace, role: str) -> Figure:
 
     figure = Figure(figsize=(11, 9), layout="constrained")
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1, 2, 1, 2, 1])
-    keep = slice(None, None, max(1, len(trace.t_s) // _MAX_POINTS))
-    t_s = trace.t_s[keep]
-    measured_deg, predicted_deg = np.rad2deg(trace.measured_rad[keep]), np.rad2deg(trace.predicted_rad[keep])
+    drawn_rows = slice(None, None, max(1, len(trace.t_s) // _MAX_POINTS))
+    t_s = trace.t_s[drawn_rows]
+    measured_deg = np.rad2deg(trace.measured_rad[drawn_rows])
+    predicted_deg = np.rad2deg(trace.predicted_rad[drawn_rows])
     label = "predicted freely, window by window"
-    for index, axis in enumerate(AXES):
-        above, below = panels[2 * index], panels[2 * index + 1]
+    for index, (axis, (above, below)) in enumerate(zip(AXES, panels.reshape(3, 2), strict=True)):
         measured, predicted = measured_deg[:, index], predicted_deg[:, index]
         above.plot(*broken_at_gaps(t_s, measured), color=_MEASURED, lw=1.0, label="measured")
         above.plot(*broken_at_gaps(t_s, predicted), color=_PREDICTED, lw=0.8, label=label)
         above.set_ylabel(f"{axis} [deg]")
-        error_deg = np.rad2deg(trace.residual[keep, index] * trace.sigma_rad[index])
+        error_deg = np.rad2deg(trace.residual[drawn_rows, index] * trace.sigma_rad[index])
         count_deg = np.rad2deg(trace.sigma_rad[index]) * np.sqrt(12.0)
         below.axhspan(-0.5 * count_deg, 0.5 * count_deg, color="#e5e5e5", label="half a count")
         below.plot(*broken_at_gaps(t_s, error_deg), color=_RESIDUAL, lw=0.6)
@@ -54,8 +54,10 @@ def identification_figure(trace: Trace, role: str) -> Figure:
             panel.grid(alpha=0.25)
             for window in trace.windows:
                 panel.axvline(trace.t_s[window.start], color="#bbbbbb", lw=0.4)
-    drawn = [*panels[0].get_lines()[:2], *panels[1].patches[:1]]
-    panels[0].legend(handles=drawn, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3)
+    legend_entries = [*panels[0].get_lines()[:2], *panels[1].patches[:1]]
+    panels[0].legend(
+        handles=legend_entries, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, ncols=3
+    )
     panels[-1].set_xlabel("time [s]; thin lines: where a window begins and the state is free")
     panels[0].set_title(f"{trace.label} ({role})", loc="left", fontsize=11)
     return figure

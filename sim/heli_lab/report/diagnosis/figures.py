@@ -50,10 +50,10 @@ def figure_of_flight(before: Fit, after: Fit) -> Figure:
     baseline, runs = trace(before), _free_runs(before, after)
     figure = Figure(figsize=(11, 9))
     panels = figure.subplots(6, 1, sharex=True, height_ratios=[2, 1.2, 2, 1.2, 2, 1.2])
-    figure.subplots_adjust(0.075, 0.06, 0.87, 0.95, hspace=0.12)
+    figure.subplots_adjust(left=0.075, bottom=0.06, right=0.87, top=0.95, hspace=0.12)
     thinned_rows = thinned(len(baseline.t_s), _MAX_POINTS)
-    for axis in range(3):
-        angle_panel, error_panel = panels[2 * axis], panels[2 * axis + 1]
+    # For each axis, a panel of the angle and, below it, a panel of the error.
+    for axis, (angle_panel, error_panel) in enumerate(panels.reshape(3, 2)):
         angle_panel.plot(
             baseline.t_s[thinned_rows],
             np.rad2deg(baseline.measured_rad[thinned_rows, axis]),
@@ -86,7 +86,7 @@ def figure_of_windows(before: Fit, after: Fit) -> Figure:
     baseline, runs = trace(before), _free_runs(before, after)
     figure = Figure(figsize=(11, 3.4))
     panels = figure.subplots(1, 3)
-    figure.subplots_adjust(0.06, 0.22, 0.98, 0.92, wspace=0.18)
+    figure.subplots_adjust(left=0.06, bottom=0.22, right=0.98, top=0.92, wspace=0.18)
     for axis, panel in enumerate(panels):
         worst_window = max(
             baseline.windows, key=lambda window: float(np.mean(baseline.residual[window, axis] ** 2))
@@ -136,16 +136,16 @@ def figure_of_torque(diagnosis: Diagnosis) -> Figure:
         )
     figure = Figure(figsize=(11, 6.5))
     panels = figure.subplots(3, 2, width_ratios=[2.4, 1])
-    figure.subplots_adjust(0.07, 0.08, 0.98, 0.91, wspace=0.12, hspace=0.35)
-    for axis in range(3):
+    figure.subplots_adjust(left=0.07, bottom=0.08, right=0.98, top=0.91, wspace=0.12, hspace=0.35)
+    for axis, (time_panel, spectrum_panel) in enumerate(panels):
         for (t_s, torque_Nm, _), color, label in torques:
             value_mNm = 1e3 * torque_Nm[:, axis]
             legend_text = f"{label}: rms {_rms(value_mNm):.3g} mN m"
-            panels[axis, 0].plot(*broken_at_gaps(t_s, value_mNm), color=color, lw=0.7, label=legend_text)
-            panels[axis, 1].loglog(*_amplitude_spectrum(t_s, value_mNm), color=color, lw=0.9)
-        panels[axis, 0].set_ylabel(f"{AXES[axis]} [mN m]")
-        _legend_above(panels[axis, 0])
-        for panel in panels[axis]:
+            time_panel.plot(*broken_at_gaps(t_s, value_mNm), color=color, lw=0.7, label=legend_text)
+            spectrum_panel.loglog(*_amplitude_spectrum(t_s, value_mNm), color=color, lw=0.9)
+        time_panel.set_ylabel(f"{AXES[axis]} [mN m]")
+        _legend_above(time_panel)
+        for panel in (time_panel, spectrum_panel):
             panel.grid(alpha=0.25)
     figure.suptitle("torque about each axis that the model lacks, and its spectrum", fontsize=11)
     panels[0, 1].set_title("[mN m / sqrt(Hz)]", fontsize=8)
@@ -162,7 +162,7 @@ def figure_of_ranking(rounds: tuple[Round, ...]) -> Figure:
     height = 2.9 * len(drawn_rounds)
     figure = Figure(figsize=(11, height))
     panels: Floats = np.atleast_1d(figure.subplots(len(drawn_rounds), 1))
-    figure.subplots_adjust(0.32, 0.5 / height, 0.98, 1.0 - 0.3 / height, hspace=0.4)
+    figure.subplots_adjust(left=0.32, bottom=0.5 / height, right=0.98, top=1.0 - 0.3 / height, hspace=0.4)
     for number, (round_, panel) in enumerate(zip(drawn_rounds, panels, strict=True), 1):
         _draw_round(round_, number, panel)
     panels[-1].set_xlabel("log-likelihood ratio [nats]; grey: score test, blue: refitted", fontsize=9)
@@ -203,7 +203,7 @@ def figure_of_size(diagnosis: Diagnosis) -> Figure | None:
         return None
     figure = Figure(figsize=(11, 5.5))
     panels = figure.subplots(3, 1, sharex=True)
-    figure.subplots_adjust(0.08, 0.09, 0.98, 0.9, hspace=0.3)
+    figure.subplots_adjust(left=0.08, bottom=0.09, right=0.98, top=0.9, hspace=0.3)
     for number, cause in enumerate(diagnosis.verdict.causes):
         t_s, change_rad_s2 = accelerations(diagnosis.assessment.extended.estimate, cause.candidate.id)
         for axis, panel in enumerate(panels):
@@ -230,7 +230,7 @@ def figure_of_curves(curves: Sequence[SplineCurve]) -> Figure:
 
     figure = Figure(figsize=(11, 3.4))
     panels = np.atleast_1d(figure.subplots(1, len(curves)))
-    figure.subplots_adjust(0.08, 0.16, 0.98, 0.92, wspace=0.25)
+    figure.subplots_adjust(left=0.08, bottom=0.16, right=0.98, top=0.92, wspace=0.25)
     for curve, panel in zip(curves, panels, strict=True):
         low, high = curve.value - 2.0 * curve.std, curve.value + 2.0 * curve.std
         panel.fill_between(curve.quantity, low, high, color=AFTER, alpha=0.2, lw=0)
@@ -342,7 +342,9 @@ def figure_of_missing_terms(terms: Sequence[MissingTerm]) -> Figure:
     height = 4.1 * len(terms)
     figure = Figure(figsize=(11, height))
     panels = figure.subplots(len(terms), 2, sharey="row", squeeze=False)
-    figure.subplots_adjust(0.085, 0.62 / height, 0.985, 1.0 - 0.6 / height, wspace=0.05, hspace=0.48)
+    figure.subplots_adjust(
+        left=0.085, bottom=0.62 / height, right=0.985, top=1.0 - 0.6 / height, wspace=0.05, hspace=0.48
+    )
     for term, (before, after) in zip(terms, panels, strict=True):
         if term.on == TIME:
             _draw_missing_term(_part_of_largest_contribution(term), before, after)
@@ -432,7 +434,7 @@ def figure_of_prediction(
     t_s = baseline.t_s[excerpt]
     figure = Figure(figsize=(11, 7.2))
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[2.4, 1.3, 1.0, 1.0])
-    figure.subplots_adjust(0.085, 0.075, 0.985, 0.955, hspace=0.13)
+    figure.subplots_adjust(left=0.085, bottom=0.075, right=0.985, top=0.955, hspace=0.13)
     angle_panel = panels[0]
     measured_deg = np.rad2deg(baseline.measured_rad[excerpt, axes[0]])
     angle_panel.plot(t_s, measured_deg, ".", ms=2.2, color=MEASURED, label="measured")
@@ -528,7 +530,7 @@ def figure_of_gain(
 
     figure = Figure(figsize=(11, 3.5))
     panels = figure.subplots(1, 3)
-    figure.subplots_adjust(0.065, 0.155, 0.985, 0.83, wspace=0.18)
+    figure.subplots_adjust(left=0.065, bottom=0.155, right=0.985, top=0.83, wspace=0.18)
     positions = np.arange(len(horizons))
     for axis, panel, rounding_deg in zip(AXES, panels, np.rad2deg(rounding_rad), strict=True):
         reductions = [horizon[axis] for horizon in horizons.values()]
@@ -641,7 +643,9 @@ def figure_of_failing_regions(all_regions: Sequence[FailingRegions], models: Seq
     height = 0.8 + 4.1 * len(all_regions)
     figure = Figure(figsize=(11, height))
     rows = figure.subplots(len(all_regions), len(models), sharex="row", sharey="row", squeeze=False)
-    figure.subplots_adjust(0.075, 0.55 / height, 0.9, 1.0 - 0.85 / height, wspace=0.1, hspace=0.34)
+    figure.subplots_adjust(
+        left=0.075, bottom=0.55 / height, right=0.9, top=1.0 - 0.85 / height, wspace=0.1, hspace=0.34
+    )
     for regions, panels in zip(all_regions, rows, strict=True):
         _regions_row(figure, panels, regions, models)
     figure.suptitle(
@@ -702,7 +706,7 @@ def figure_of_unknown_torque(regions: FailingRegions) -> Figure:
     thinned_rows = thinned(len(quantity), _POINTS)
     figure = Figure(figsize=(11, 3.6))
     panel = figure.subplots()
-    figure.subplots_adjust(0.08, 0.16, 0.98, 0.9)
+    figure.subplots_adjust(left=0.08, bottom=0.16, right=0.98, top=0.9)
     panel.plot(
         quantity[thinned_rows], torque_mNm[thinned_rows], ".", ms=2.5, color="#b4b9bf", rasterized=True
     )
