@@ -58,11 +58,12 @@ class ThrustCurve:
         dead_zone_V = -intercept_N / slope_N_per_V
         # Derivatives of the dead zone by slope and intercept, by which their covariance becomes its variance.
         zero_gradient = np.array([-dead_zone_V / slope_N_per_V, -1.0 / slope_N_per_V])
+        # Half of a 95 % interval is two standard deviations.
         return Line(
-            float(slope_N_per_V),
-            2.0 * float(np.sqrt(covariance[0, 0])),
-            float(dead_zone_V),
-            2.0 * float(np.sqrt(zero_gradient @ covariance @ zero_gradient)),
+            gain_N_per_V=float(slope_N_per_V),
+            gain_half=2.0 * float(np.sqrt(covariance[0, 0])),
+            dead_zone_V=float(dead_zone_V),
+            dead_zone_half=2.0 * float(np.sqrt(zero_gradient @ covariance @ zero_gradient)),
         )
 
 
@@ -152,21 +153,21 @@ def weigh(
     """Estimate rig parameters from bench tests."""
     if thrust is None and balance is None and not swings:
         raise RigError("no bench test is given", "give at least one of [thrust], [balance] and [[swing]]")
-    result, tested = rig, []
-    determined: list[str] = []
+    weighed = Weighed(rig, (), ())
     if thrust is not None:
-        result, thrust_readings = _with_thrust(rig, thrust)
-        determined += ["thrust_gain", "dead_zone"]
-        tested += thrust_readings
+        weighed = _with_thrust(rig, thrust)
     if balance is not None or swings:
-        result, names, mass_readings = _with_masses(result, balance, swings)
-        determined += names
-        tested += mass_readings
-    return Weighed(result, tuple(determined), tuple(tested))
+        by_masses = _with_masses(weighed.rig, balance, swings)
+        weighed = Weighed(
+            by_masses.rig,
+            determined=(*weighed.determined, *by_masses.determined),
+            tested=(*weighed.tested, *by_masses.tested),
+        )
+    return weighed
 
 
-def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
-    """Set gain and dead zone of a rig by the thrust test; return the rig and all readings."""
+def _with_thrust(rig: Rig, thrust: Thrust) -> Weighed:
+    """Set gain and dead zone of a rig by the thrust test."""
     line = thrust.curve.line()
     volts = thrust.curve.volts_V
     source = f"bench: line through thrust on a scale at {np.unique(volts).size} voltages"
@@ -179,21 +180,24 @@ def _with_thrust(rig: Rig, thrust: Thrust) -> tuple[Rig, list[Tested]]:
     after = replace(rig, numbers={**rig.numbers, **numbers})
     tolerance_N = max(2.0 * thrust.scale_N / np.sqrt(12.0), 0.02 * float(thrust.curve.thrust_N.max()))
     sides = ("front", "back") if volts.shape[1] == 2 else ("a rotor's",)
-    tested = [
+    tested = tuple(
         Tested(
             f"{side} thrust at {volt:g} V",
             "N",
-            float(measured),
-            float(tolerance_N),
-            *(
-                numbers["thrust_gain"].value * max(volt - numbers["dead_zone"].value, 0.0)
-                for numbers in (rig, after)
-            ),
+            read=float(measured_N),
+            tolerance=float(tolerance_N),
+            before=_thrust_N(rig, volt),
+            after=_thrust_N(after, volt),
         )
         for volts_V, readings_N in zip(volts, thrust.curve.thrust_N, strict=True)
-        for side, volt, measured in zip(sides, map(float, volts_V), readings_N, strict=True)
-    ]
-    return after, tested
+        for side, volt, measured_N in zip(sides, map(float, volts_V), readings_N, strict=True)
+    )
+    return Weighed(after, tuple(numbers), tested)
+
+
+def _thrust_N(rig: Rig, volts_V: float) -> float:
+    """Return the thrust of a rotor at a voltage."""
+    return rig["thrust_gain"].value * max(volts_V - rig["dead_zone"].value, 0.0)
 
 
 def _measured_number(rig: Rig, name: str, value: float, tolerance: float, source: str) -> Number:
@@ -250,8 +254,9 @@ class _BenchModel:
     def swing(self, p: Floats, swing: Swing) -> tuple[float, float]:
         """Return the time of all swings [s], and the logarithmic decrement."""
         axis = AXES.index(swing.axis)
-        rest_deg = self.balance_deg(p, -20.0) if axis == 0 else 0.0
-        angles_rad = np.deg2rad([rest_deg if axis == 0 else swing.elevation_deg, 0.0, 0.0])
+        # Elevation swings about its balance, and pitch at the elevation at which the arm is held.
+        elevation_deg = self.balance_deg(p, near_deg=-20.0) if axis == 0 else swing.elevation_deg
+        angles_rad = np.deg2rad([elevation_deg, 0.0, 0.0])
         _, by_angle, by_rate = self._acceleration_at_rest(p, axis, angles_rad)
         # Damped oscillation x'' = by_angle x + by_rate x': the square of its angular frequency.
         frequency2 = -by_angle - 0.25 * by_rate**2
@@ -263,77 +268,90 @@ class _BenchModel:
         return swing.swings * period_s * (1.0 + amplitude_rad**2 / 16.0), -0.5 * by_rate * period_s
 
 
-def _with_masses(
-    rig: Rig, balance: Balance | None, swings: Sequence[Swing]
-) -> tuple[Rig, list[str], list[Tested]]:
-    """Estimate masses and lengths of a rig from balance and swings by least squares."""
-    # The tolerances of the rig are priors. Returns the rig, the names of the parameters that the tests
-    # determine, and each reading with its predictions.
-    from scipy.optimize import least_squares
+class _MassProblem:
+    """Least-squares problem of masses and lengths. The tolerances of the rig are priors."""
 
-    bench_model = _BenchModel(rig)
-    # Free are all numbers with a tolerance, but not the encoders' zeros, and not the thrust, which has its
-    # own test.
-    free_names = [
-        name for name in bench_model.names if rig[name].tolerance > 0.0 and not name.startswith("offset")
-    ]
-    free_names = [name for name in free_names if name not in ("thrust_gain", "dead_zone")]
-    indices = [bench_model.names.index(name) for name in free_names]
-    mean = np.array([rig[name].value for name in free_names])
-    tolerance = np.array([rig[name].tolerance for name in free_names])
-    readings = _table_of_readings(balance, swings)
+    def __init__(self, rig: Rig, balance: Balance | None, swings: Sequence[Swing]) -> None:
+        self._balance, self._swings, self._model = balance, swings, _BenchModel(rig)
+        # Free are all numbers with a tolerance, but not the encoders' zeros, and not the thrust, which has
+        # its own test.
+        self.names = [
+            name
+            for name in self._model.names
+            if rig[name].tolerance > 0.0
+            and not name.startswith("offset")
+            and name not in ("thrust_gain", "dead_zone")
+        ]
+        self._columns = [self._model.names.index(name) for name in self.names]
+        self.mean: Floats = np.array([rig[name].value for name in self.names])
+        self.tolerance: Floats = np.array([rig[name].tolerance for name in self.names])
+        self.readings = _table_of_readings(balance, swings)
+        self._measured = np.array([reading.value for reading in self.readings])
+        self._reading_tolerance = np.array([reading.tolerance for reading in self.readings])
 
-    def predict(values: Floats) -> Floats:
+    def predict(self, values: Floats) -> Floats:
         """Return the predicted readings for the free parameters, in the order of `readings`."""
-        p = bench_model.values.copy()
-        p[indices] = values
-        predicted = [] if balance is None else [bench_model.balance_deg(p, balance.elevation_deg)]
-        for swing in swings:
-            predicted += bench_model.swing(p, swing)
+        p = self._model.values.copy()
+        p[self._columns] = values
+        predicted = []
+        if self._balance is not None:
+            predicted.append(self._model.balance_deg(p, self._balance.elevation_deg))
+        for swing in self._swings:
+            predicted += self._model.swing(p, swing)
         return np.array(predicted)
 
-    measured = np.array([reading.value for reading in readings])
-    reading_tolerances = np.array([reading.tolerance for reading in readings])
+    def residuals(self, change: Floats) -> Floats:
+        """Return the errors of readings and priors; `change` is that of the parameters, in tolerances."""
+        error = self.predict(self.mean + change * self.tolerance) - self._measured
+        return np.concatenate((error / self._reading_tolerance, change))
 
-    def residuals(scaled: Floats) -> Floats:
-        return np.concatenate(((predict(mean + scaled * tolerance) - measured) / reading_tolerances, scaled))
 
-    low = np.array([-np.inf if rig.may_be_negative(name) else 1e-6 * rig[name].value for name in free_names])
-    start = np.zeros(len(free_names))
-    fit = least_squares(residuals, start, bounds=((low - mean) / tolerance, np.full(len(free_names), np.inf)))
+def _with_masses(rig: Rig, balance: Balance | None, swings: Sequence[Swing]) -> Weighed:
+    """Estimate masses and lengths of a rig from balance and swings by least squares."""
+    from scipy.optimize import least_squares
+
+    problem = _MassProblem(rig, balance, swings)
+    low = [-np.inf if rig.may_be_negative(name) else 1e-6 * rig[name].value for name in problem.names]
+    bounds = ((np.array(low) - problem.mean) / problem.tolerance, np.full(len(low), np.inf))
+    fit = least_squares(problem.residuals, np.zeros(len(low)), bounds=bounds)
     # Readings and parameters are all scaled by 95 % tolerances, so that no factor 2 appears.
     posterior_share = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
-    values = mean + fit.x * tolerance
+    values = problem.mean + fit.x * problem.tolerance
     test_names = " and ".join(
         [
             *(["the angle of balance"] if balance else []),
-            *dict.fromkeys(f"swings of {s.axis}" for s in swings),
+            *dict.fromkeys(f"swings of {swing.axis}" for swing in swings),
         ]
     )
-    names = [
+    determined = tuple(
         name
-        for name, share, shift in zip(free_names, posterior_share, fit.x, strict=True)
-        if share < _MAX_SHARE_LEARNED or abs(shift) > 1.0
-    ]
+        for name, share, change in zip(problem.names, posterior_share, fit.x, strict=True)
+        if share < _MAX_SHARE_LEARNED or abs(change) > 1.0
+    )
     numbers = dict(rig.numbers)
     # All parameters change, some only a little, because the tests were fitted to all of them together.
-    for name, value, share, prior_tolerance in zip(
-        free_names, values, posterior_share, tolerance, strict=True
+    for name, value, tolerance in zip(
+        problem.names, values, posterior_share * problem.tolerance, strict=True
     ):
         source = f"bench: {test_names}, with {rig[name].source}"
-        numbers[name] = _measured_number(rig, name, float(value), float(share * prior_tolerance), source)
+        numbers[name] = _measured_number(rig, name, float(value), float(tolerance), source)
     after = replace(rig, numbers=numbers)
-    final = np.array([after[name].value for name in free_names])
-    return (
-        after,
-        names,
-        [
-            Tested(*reading, float(before_value), float(after_value))
-            for reading, before_value, after_value in zip(
-                readings, predict(mean), predict(final), strict=True
-            )
-        ],
+    predicted_before = problem.predict(problem.mean)
+    predicted_after = problem.predict(np.array([after[name].value for name in problem.names]))
+    tested = tuple(
+        Tested(
+            reading.name,
+            reading.unit,
+            read=reading.value,
+            tolerance=reading.tolerance,
+            before=float(before),
+            after=float(after_fit),
+        )
+        for reading, before, after_fit in zip(
+            problem.readings, predicted_before, predicted_after, strict=True
+        )
     )
+    return Weighed(after, determined, tested)
 
 
 class _Reading(NamedTuple):

@@ -133,6 +133,7 @@ def _c_operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> s
             f"a model uses CasADi's operation {code}, which is not compiled here",
             "write it with arithmetic, comparisons and elementary functions",
         )
+    # Without an expression of vectors, the operation is done in a loop over their elements.
     of_numbers, of_vectors = _EXPRESSIONS[code]
     if not {x, y} & vectors:
         return f"const double {result} = {of_numbers.format(x=x, y=y)};"

@@ -64,52 +64,56 @@ def _variables_in_order(plant: Plant) -> Iterator[Variable]:
     """Yield the variables of an FMU in the order of its reference: time, inputs, outputs, distances to the
     stops, states, their rates, and parameters.
     """
-    yield Variable("time", 0, "s", "simulated time", "independent", "continuous")
+    yield Variable("time", 0, "s", "simulated time", causality="independent", variability="continuous")
     for index, quantity in enumerate(plant.model.inputs):
         yield Variable(
-            quantity.name, _INPUTS + index, quantity.unit, quantity.meaning, "input", "continuous", "", 0.0
-        )
+            quantity.name, _INPUTS + index, quantity.unit, quantity.meaning,
+            causality="input", variability="continuous", start=0.0,
+        )  # fmt: skip
     for index, axis in enumerate(_AXES):
         yield Variable(
-            f"{axis}_rad", _OUTPUTS + index, "rad", f"{axis} as an ideal encoder measures it", "output",
-            "continuous", "calculated",
+            f"{axis}_rad", _OUTPUTS + index, "rad", f"{axis} as an ideal encoder measures it",
+            causality="output", variability="continuous", initial="calculated",
         )  # fmt: skip
-    for index in range(6):
-        axis, side = _AXES[index % 3], ("lower", "upper")[index // 3]
+    gaps = [(axis, side) for side in ("lower", "upper") for axis in _AXES]
+    for index, (axis, side) in enumerate(gaps):
         yield Variable(
             f"gap.{axis}_{side}_rad", _INDICATORS + index, "rad", f"way to the {side} stop of {axis}",
-            "local", "continuous", "calculated",
+            causality="local", variability="continuous", initial="calculated",
         )  # fmt: skip
     start = plant.rest_state()
     count = len(plant.model.states)
     if plant.extras.random:
         chance = float(start[count + plant.extras.timed])
         yield Variable(
-            "chance", _CHANCE, "1", "state of the random generator, a whole number from 1", "parameter",
-            "fixed", "exact", chance,
+            "chance", _CHANCE, "1", "state of the random generator, a whole number from 1",
+            causality="parameter", variability="fixed", initial="exact", start=chance,
         )  # fmt: skip
     for index, state in enumerate(plant.model.states):
         yield Variable(
-            f"state.{state.name}", _STATES + index, state.unit, state.meaning, "local", "continuous", "exact",
-            float(start[index]),
+            f"state.{state.name}", _STATES + index, state.unit, state.meaning,
+            causality="local", variability="continuous", initial="exact", start=float(start[index]),
         )  # fmt: skip
     for index, state in enumerate(plant.model.states):
         unit = "rad/s2" if state.unit == "rad/s" else "1" if state.unit == "1" else f"{state.unit}/s"
         yield Variable(
             f"der(state.{state.name})", _RATES + index, unit, f"rate of state.{state.name}",
-            "local", "continuous", "calculated", None, _STATES + index,
+            causality="local", variability="continuous", initial="calculated", derivative_of=_STATES + index,
         )  # fmt: skip
     known = {quantity.name: quantity for quantity in RIG_QUANTITIES}
     parameters = [*plant.model.parameters, *(known[name] for name in LIMITS)]
     seen: set[str] = set()
     for index, quantity in enumerate(parameters):
+        # The number of delayed voltages, and so the size of the state, follows from the delay.
         is_constant = quantity.name == plant.model.delay
+        # A limit that is a parameter of the equations, too, is the parameter of the stop.
         name = f"rig.{quantity.name}" if quantity.name not in seen else f"rig.stop.{quantity.name}"
         seen.add(quantity.name)
         yield Variable(
             name, _PARAMETERS + index, quantity.unit, quantity.meaning,
-            "local" if is_constant else "parameter", "constant" if is_constant else "tunable", "exact",
-            float(plant.parameters[index]),
+            causality="local" if is_constant else "parameter",
+            variability="constant" if is_constant else "tunable",
+            initial="exact", start=float(plant.parameters[index]),
         )  # fmt: skip
 
 

@@ -37,7 +37,6 @@ class Generated:
 def generate(plant: Plant, token: str) -> Generated:
     """Write the C files with a plant's equations and parameters."""
     model, extras = plant.model, plant.extras
-    delay_ticks = sum(state.name.startswith("front_V_") for state in extras.states)
     x, u = ca.SX.sym("state", len(model.states)), ca.SX.sym("acting_V", 2)
     p, t, generator_state = (
         ca.SX.sym("parameters", len(plant.parameters)),
@@ -52,18 +51,17 @@ def generate(plant: Plant, token: str) -> Generated:
         _dense_function("model_measured", [x, u, p, t], [model.measurement(x, u, p_model, t)]),
         _dense_function("model_end_of_step", [x, u, p, t, generator_state], [after, next_generator_state]),
     ]
-    if delay_ticks:
-        past_V = ca.SX.sym("past_V", 2 * delay_ticks)
+    if extras.delay_ticks:
+        past_V = ca.SX.sym("past_V", 2 * extras.delay_ticks)
         functions.append(
-            _dense_function(
-                "model_late_volts", [u, past_V], [delayed_volts_V(u, past_V, plant.extras.delay_s)]
-            )
+            _dense_function("model_late_volts", [u, past_V], [delayed_volts_V(u, past_V, extras.delay_s)])
         )
     generator = ca.CodeGenerator("model", {"with_header": False})
     for function in functions:
         generator.add(function)
+    # An importer must then stop after each millisecond.
     has_millisecond_events = (
-        bool(delay_ticks) or extras.random or any(_has_reset(effect) for effect in model.effects)
+        extras.delay_ticks > 0 or extras.random or any(_has_reset(effect) for effect in model.effects)
     )
     numbers = {
         "STATES": len(model.states),
@@ -72,7 +70,7 @@ def generate(plant: Plant, token: str) -> Generated:
         "LIMITS": len(model.parameters),
         "TIMED": int(extras.timed),
         "RANDOM": int(extras.random),
-        "LATE": delay_ticks,
+        "LATE": extras.delay_ticks,
         "SAMPLED": int(has_millisecond_events),
         "INPUTS": max(function.n_in() for function in functions),
         "OUTPUTS": max(function.n_out() for function in functions),

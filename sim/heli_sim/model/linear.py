@@ -71,28 +71,32 @@ def derivatives(model: Model, rig: Rig, state: npt.ArrayLike, volts_V: npt.Array
 
 def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
     """Find the voltages and the pitch that hold an elevation, with all rates zero and travel at 0."""
+    # The states are three angles, their rates, and the states of effects. Unknown are pitch, the states of
+    # effects, and both voltages. Travel and the three rates are zero.
     count = len(model.states)
-    # Unknown are pitch, the states of effects, and both voltages. Travel and the three rates are zero.
-    unknown_states = [1, *range(6, count)]
+    elevation, pitch, first_rate, first_effect_state = 0, 1, 3, 6
+    unknown_states = [pitch, *range(first_effect_state, count)]
     state = np.zeros(count)
-    state[0] = elevation_rad
+    state[elevation] = elevation_rad
     # Start at any voltage above the dead zone, because the thrust is nearly linear there.
     volts_V = np.full(2, rig["dead_zone"].value + 1.0)
-    if count > 6:
+    if count > first_effect_state:
         # Lagged thrusts start at their steady values: with zero thrust, pitch would have no effect.
         linear = derivatives(model, rig, state, volts_V)
-        state[6:] -= np.linalg.lstsq(linear.A[6:, 6:], linear.rates[6:], rcond=None)[0]
+        of_effects = slice(first_effect_state, None)
+        change, *_ = np.linalg.lstsq(linear.A[of_effects, of_effects], linear.rates[of_effects], rcond=None)
+        state[of_effects] -= change
     for _ in range(_ITERATIONS):
         linear = derivatives(model, rig, state, volts_V)
-        residual = linear.rates[3:]
+        residual = linear.rates[first_rate:]
         if np.abs(residual).max() < _RESIDUAL:
-            if state[1] ** 2 < (np.pi / 2) ** 2 and (volts_V > rig["dead_zone"].value).all():
+            is_upright = state[pitch] ** 2 < (np.pi / 2) ** 2
+            if is_upright and (volts_V > rig["dead_zone"].value).all():
                 return Trim(state, volts_V)
             break
         # Least squares leaves a state that has no influence, such as an encoder's play, unchanged.
-        step = np.linalg.lstsq(
-            np.hstack((linear.A[3:, unknown_states], linear.B[3:])), -residual, rcond=None
-        )[0]
+        jacobian = np.hstack((linear.A[first_rate:, unknown_states], linear.B[first_rate:]))
+        step, *_ = np.linalg.lstsq(jacobian, -residual, rcond=None)
         state[unknown_states] += step[:-2]
         volts_V = volts_V + step[-2:]
     raise PlantError(

@@ -55,6 +55,11 @@ class Extras:
     """Delay of the voltages. The remaining states are the voltages of the milliseconds that it spans, the
     newest first."""
 
+    @property
+    def delay_ticks(self) -> int:
+        """Number of milliseconds that the delay spans: each has a front and a back voltage."""
+        return (len(self.states) - self.timed - self.random) // 2
+
 
 def extras(model: Model, delay_s: float = 0.0) -> Extras:
     """Return the states that a simulation needs in addition to those of its model."""
@@ -121,16 +126,17 @@ def end_of_step(
     """Apply what a differential equation cannot describe: table, stops, locks, resets and random inputs."""
     # The plant does this once per millisecond, after it has integrated the rates.
     p_model, limits = p[: len(model.parameters)], p[len(model.parameters) :]
-    # Limits: elevation_min, elevation_max, pitch_max, travel_max, table_damping.
-    low = ca.vertcat(limits[0], -limits[2], -limits[3]) * _RAD_PER_DEG
-    high = ca.vertcat(limits[1], limits[2], limits[3]) * _RAD_PER_DEG
+    elevation_min, elevation_max, pitch_max, travel_max, table_damping_1_s = ca.vertsplit(limits)
+    low = ca.vertcat(elevation_min, -pitch_max, -travel_max) * _RAD_PER_DEG
+    high = ca.vertcat(elevation_max, pitch_max, travel_max) * _RAD_PER_DEG
     angles, speeds = next_model_state[0:3], next_model_state[3:6]
     speeds = ca.if_else(angles <= low, ca.fmax(speeds, 0.0), speeds)
     speeds = ca.if_else(angles >= high, ca.fmin(speeds, 0.0), speeds)
     on_table = angles[0] <= low[0]
-    # While the arm rests on the table, pitch and travel rates decay by table_damping [1/s].
-    speed_factor = ca.if_else(on_table, ca.exp(-STEP_s * limits[4]), 1.0)
-    speeds = ca.vertcat(speeds[0], speed_factor * speeds[1], speed_factor * speeds[2]) * (1 - locked)
+    # While the arm rests on the table, the rates of pitch and travel decay.
+    decay = ca.if_else(on_table, ca.exp(-STEP_s * table_damping_1_s), 1.0)
+    elevation_speed, pitch_speed, travel_speed = ca.vertsplit(speeds)
+    speeds = ca.vertcat(elevation_speed, decay * pitch_speed, decay * travel_speed) * (1 - locked)
     next_model_state = ca.vertcat(ca.fmin(ca.fmax(angles, low), high), speeds, next_model_state[6:])
 
     normal, generator_state = _random_numbers(generator_state, model.noise_inputs)

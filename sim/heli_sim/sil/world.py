@@ -126,8 +126,8 @@ class SilWorld:
         wiring = options.rig_faults
         self.native.wire_motors(wiring.motors_swapped, wiring.motor_signs)
         support_arm(self.plant, self.native)
-        self.to_board = FaultyStream(options.faults, options.seed, 0)
-        self.to_host = FaultyStream(options.faults, options.seed, 1)
+        self.to_board = FaultyStream(options.faults, options.seed, direction=0)
+        self.to_host = FaultyStream(options.faults, options.seed, direction=1)
         self.host_reading = True
         """Whether the host reads; otherwise, the bridge towards it overflows."""
         self._undelivered = b""
@@ -184,6 +184,7 @@ class SilWorld:
         while ticks > 0 and not (until_output and received and min_ticks <= 0):
             tick = self.native.tick
             unplugged, stalled = faults.unplugged(tick), faults.stalled(tick)
+            # Also when the cable is plugged in again: what the board sent without it is lost.
             if unplugged or self._was_unplugged:
                 self.native.unplug()
             if unplugged:
@@ -195,6 +196,7 @@ class SilWorld:
                 self._undelivered = b""
             max_ticks = min(ticks, min_ticks) if until_output and received else ticks
             self.rig_faults.apply(tick, self.native, self.board.sim)
+            # Faults begin and end at edges, and are constant between them.
             edge = min(faults.next_edge(tick), self.rig_faults.next_edge(tick))
             elapsed_ticks, sent = self._advance_native(
                 min(max_ticks, edge - tick), to_deliver, until_output, max(1, min_ticks)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from heli_host.board.rig_check import RigDifference
     from rich.console import Console
 
+    from heli_sim.bench import Weighed
     from heli_sim.rig import Number, Rig
     from heli_sim.rig.describe import Difference
 
@@ -432,7 +433,7 @@ def weigh_rig(
     from heli_host.data.files import parse_toml
     from heli_host.ui.cli.options import check_place
 
-    from heli_sim.bench import OFF, TEMPLATE, bench_tests_from, weigh
+    from heli_sim.bench import TEMPLATE, bench_tests_from, weigh
     from heli_sim.errors import RigError
     from heli_sim.rig import load_rig, write_rig
 
@@ -457,8 +458,15 @@ def weigh_rig(
         write_rig(weighed_rig, save_rig, f"Found by heli-host rig weigh from {tests.name} and {before.name}.")
     numbers = {name: asdict(weighed.rig[name]) for name in weighed.determined}
     tested = [{**asdict(test), "off": test.off} for test in weighed.tested]
-    if write_result(json, {"rig": weighed.rig.name, "numbers": numbers, "tests": tested}):
-        return
+    if not write_result(json, {"rig": weighed.rig.name, "numbers": numbers, "tests": tested}):
+        _say_weighed(weighed, before)
+        say_files([save_rig])
+
+
+def _say_weighed(weighed: Weighed, before: Rig) -> None:
+    """Print what the bench tests change, and how well the rig then predicts each reading."""
+    from heli_sim.bench import OFF
+
     for name in weighed.determined:
         number_before, number_after = before[name], weighed.rig[name]
         change_in_tolerances = (
@@ -477,7 +485,6 @@ def weigh_rig(
         remark = f", {test.off:.1f} tolerances off: a wrong reading, or no such rig" if test.off > OFF else ""
         unit = "" if test.unit == "1" else f" {test.unit}"
         say(f"{test.what}: read {test.read:.4g}{unit}, the rig gives {test.after:.4g}{remark}")
-    say_files([save_rig])
 
 
 @app.command("export")
