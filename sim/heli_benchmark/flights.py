@@ -70,14 +70,17 @@ _MAX_RATE_deg_s = 19.9
 def plan(name: str, duration_s: float, rng: np.random.Generator) -> Plan:
     """Write a plan that excites each axis, different in each case."""
     corners_s = 22.0
+    # 6 s remain for the start and the hold.
     sines_s = duration_s - corners_s - 6.0
     travel_deg = rng.uniform(25, 45)
     travel_s = max(round(rng.uniform(0.6, 0.75) * travel_deg, 1), _MIN_PERIOD_s_per_deg * round(travel_deg))
-    # A sine that is shorter than its period fades in within half the segment, which adds to its rate.
+    # A sine that is shorter than its period fades in within half the segment. A smooth step of the amplitude
+    # has a rate of at most 1.5 times its mean, which adds to that of the sine.
     fade_s = 0.5 * sines_s
-    max_travel_deg = (_MAX_RATE_deg_s - 2.0 * np.pi * round(travel_deg) / travel_s) * fade_s / 1.5
-    if fade_s >= 0.5 * travel_s:
-        max_travel_deg = np.inf
+    max_travel_deg = np.inf
+    if fade_s < 0.5 * travel_s:
+        sine_rate_deg_s = 2.0 * np.pi * round(travel_deg) / travel_s
+        max_travel_deg = (_MAX_RATE_deg_s - sine_rate_deg_s) * fade_s / 1.5
     return Plan.parse(
         _TEXT.format(
             name=name,
@@ -124,6 +127,7 @@ _PWM_STEPS = 2100
 """Steps of a driver that switches at 20 kHz; the voltages of a log are multiples of one."""
 _FILTER_s = 0.03
 _MAX_PITCH_rad, _MAX_ELEVATION_rad = 1.2, 0.42
+_MAX_PITCH_REFERENCE_rad = 0.45
 
 
 @dataclass(frozen=True)
@@ -196,8 +200,11 @@ class _Pilot:
         self._step_s = step_s
         soft = 0.7 if controller == "soft" else 1.0
         self._elevation_gains = _elevation_controller_gains(controller, soft * rng.uniform(1.6, 2.6))
-        self._pitch_gains = _pitch_travel_controller_gains(
-            controller, self._travel_rad_s2_per_rad, soft * rng.uniform(2.4, 3.4), rng.uniform(0.5, 0.8)
+        self._pitch_gains, self._travel_gains = _pitch_and_travel_controller_gains(
+            controller,
+            self._travel_rad_s2_per_rad,
+            pitch_rad_s=soft * rng.uniform(2.4, 3.4),
+            travel_rad_s=rng.uniform(0.5, 0.8),
         )
         self._previous_rad: Floats | None = None
         self._rates = np.zeros(3)
@@ -217,17 +224,19 @@ class _Pilot:
         )
         self._previous_reference_rad = reference_rad
         speed = (reference_rad - previous_reference_rad) / self._step_s
+        # Elevation and travel follow the reference; pitch follows the controller of travel.
+        _, pitch_rad, _ = angles
+        _, pitch_rad_s, _ = self._rates
         error_rad = reference_rad - angles[[0, 2]]
         rate_error = speed - self._rates[[0, 2]]
         self._error_integrals = np.clip(self._error_integrals + error_rad * self._step_s, -1.0, 1.0)
-        elevation_rad_s2 = float(
-            self._elevation_gains @ [error_rad[0], rate_error[0], self._error_integrals[0]]
+        elevation_errors, travel_errors = np.stack((error_rad, rate_error, self._error_integrals), axis=1)
+        elevation_rad_s2 = float(self._elevation_gains @ elevation_errors)
+        pitch_reference_rad = float(
+            np.clip(self._travel_gains @ travel_errors, -_MAX_PITCH_REFERENCE_rad, _MAX_PITCH_REFERENCE_rad)
         )
-        pitch_reference_rad = self._pitch_gains[2:] @ [error_rad[1], rate_error[1], self._error_integrals[1]]
-        pitch_reference_rad = float(np.clip(pitch_reference_rad, -0.45, 0.45))
-        pitch_rad_s2 = (
-            self._pitch_gains[0] * (pitch_reference_rad - angles[1]) - self._pitch_gains[1] * self._rates[1]
-        )
+        pitch_gain, pitch_rate_gain = self._pitch_gains
+        pitch_rad_s2 = pitch_gain * (pitch_reference_rad - pitch_rad) - pitch_rate_gain * pitch_rad_s
         mean_V = self._hover_V + self._V_per_elevation_rad_s2 * elevation_rad_s2
         difference_V = self._V_per_pitch_rad_s2 * pitch_rad_s2
         volts = np.array([mean_V + difference_V, mean_V - difference_V]) + excitation_V
@@ -245,24 +254,26 @@ def _elevation_controller_gains(controller: str, bandwidth_rad_s: float) -> Floa
     return np.array([bandwidth_rad_s**2, 1.8 * bandwidth_rad_s, 0.3 * bandwidth_rad_s**3])
 
 
-def _pitch_travel_controller_gains(
-    controller: str, travel_rad_s2_per_rad: float, pitch_rad_s: float, travel_rad_s: float
-) -> Floats:
-    """Return five gains: of pitch and its rate; of travel's error, its rate and its integral."""
+def _pitch_and_travel_controller_gains(
+    controller: str, travel_rad_s2_per_rad: float, *, pitch_rad_s: float, travel_rad_s: float
+) -> tuple[Floats, Floats]:
+    """Return the gains of pitch and its rate, and those of travel's error, its rate and its integral. The
+    arguments `pitch_rad_s` and `travel_rad_s` are the bandwidths of both loops.
+    """
     if controller == "state_feedback":
-        # States: pitch and its rate, travel rate, travel, and the integral of travel.
+        # The order of the states. Pitch accelerates travel, and the input accelerates pitch.
+        pitch, pitch_rate, travel, travel_rate, travel_integral = range(5)
         state_matrix = np.zeros((5, 5))
-        state_matrix[0, 1], state_matrix[2, 3], state_matrix[3, 0], state_matrix[4, 2] = (
-            1.0,
-            1.0,
-            travel_rad_s2_per_rad,
-            1.0,
-        )
+        state_matrix[pitch, pitch_rate] = 1.0
+        state_matrix[travel, travel_rate] = 1.0
+        state_matrix[travel_rate, pitch] = travel_rad_s2_per_rad
+        state_matrix[travel_integral, travel] = 1.0
         state_weights = np.diag([pitch_rad_s**4, 0.3 * pitch_rad_s**2, 40.0 * travel_rad_s**4, 40.0, 0.5])
         k = _lqr_gains(state_matrix, np.array([[0.0], [1.0], [0.0], [0.0], [0.0]]), state_weights)
-        return np.array([k[0], k[1], *(k[2:] / k[0])])
-    travel = np.array([travel_rad_s**2, 1.8 * travel_rad_s, 0.1 * travel_rad_s**3]) / travel_rad_s2_per_rad
-    return np.array([pitch_rad_s**2, 1.8 * pitch_rad_s, *travel])
+        # Travel's errors make a reference of pitch, which the gain of pitch multiplies.
+        return k[:2], k[2:] / k[0]
+    travel_gains = np.array([travel_rad_s**2, 1.8 * travel_rad_s, 0.1 * travel_rad_s**3])
+    return np.array([pitch_rad_s**2, 1.8 * pitch_rad_s]), travel_gains / travel_rad_s2_per_rad
 
 
 def _lqr_gains(a: Floats, b: Floats, state_weights: Floats) -> Floats:
@@ -275,26 +286,28 @@ def _reference_motion(route: Route, times_s: Floats, rng: np.random.Generator) -
     """Draw the reference of elevation and travel, rad, which starts level and is smooth, shape (n, 2)."""
     reference_rad = np.zeros((len(times_s), 2))
     # Travel follows a reference that is twice as slow as that of elevation.
-    for i, (most_deg, slowness) in enumerate(((route.elevation_deg, 1.0), (route.travel_deg, 2.0))):
+    for column, (most_deg, slowness) in enumerate(((route.elevation_deg, 1.0), (route.travel_deg, 2.0))):
         most_rad = np.deg2rad(most_deg)
         if route.sines:
             periods_s = slowness * rng.uniform(8.0, 14.0) / np.array([1.0, 1.7])
             phases = rng.uniform(-np.pi, np.pi, 2)
             sizes = most_rad * np.array([0.75, 0.25])
             wave = sizes * np.sin(2.0 * np.pi * times_s[:, None] / periods_s + phases)
-            reference_rad[:, i] += wave.sum(axis=1)
+            reference_rad[:, column] += wave.sum(axis=1)
+        # 60 steps last longer than any flight. Together with sines they are smaller.
         at_s = np.cumsum(slowness * rng.uniform(3.0, 6.0, 60))
-        steps_rad = most_rad * rng.uniform(-1.0, 1.0, 61) * (0.4 if route.sines else 1.0)
-        steps_rad[0] = 0.0
-        reference_rad[:, i] += steps_rad[np.searchsorted(at_s, times_s)]
-    # Two lags each: no step remains, and the motion leads away from the hover.
+        levels_rad = most_rad * rng.uniform(-1.0, 1.0, 61) * (0.4 if route.sines else 1.0)
+        levels_rad[0] = 0.0
+        reference_rad[:, column] += levels_rad[np.searchsorted(at_s, times_s)]
+    # Two lags each: no step remains, and the motion leads away from the hover. The second one is longer for
+    # travel.
     step_s = times_s[1] - times_s[0]
     for lag_s in (0.4, np.array([0.4, 0.8])):
-        keep = np.exp(-step_s / lag_s)
-        out = np.zeros(2)
-        for k in range(len(reference_rad)):
-            out = keep * out + (1.0 - keep) * reference_rad[k]
-            reference_rad[k] = out
+        decay = np.exp(-step_s / lag_s)
+        lagging_rad = np.zeros(2)
+        for row in range(len(reference_rad)):
+            lagging_rad = decay * lagging_rad + (1.0 - decay) * reference_rad[row]
+            reference_rad[row] = lagging_rad
     return reference_rad
 
 

@@ -213,25 +213,6 @@ def judge(
     """Judge a diagnosis."""
     if result is None:
         result = {"verdict": "failed", "causes": [], "residual": {"normalised": {}}}
-    # Reversed, so that the first of two causes with the same part counts.
-    estimates_by_cause = [
-        of_parts(cause["effect"], cause["parameters"]) for cause in reversed(result["causes"])
-    ]
-    estimates_by_effect = {
-        effect: estimates for parts in estimates_by_cause for effect, estimates in parts.items()
-    }
-    parameters: dict[str, tuple[float, float, float]] = {}
-    for effect in hidden:
-        estimates = estimates_by_effect.get(effect.id, {})
-        for name, truth in effect.scalars.items():
-            if name in estimates and estimates[name]["std"] > 0.0:
-                parameters[name] = (estimates[name]["value"], estimates[name]["std"], truth)
-        for pair, truth in effect.amplitudes.items():
-            if all(name in estimates for name in pair):
-                parameters[f"{pair[0]}, {pair[1]}"] = (
-                    *_amplitude_and_error([estimates[name] for name in pair]),
-                    truth,
-                )
     # The numbers are null if nothing was excited.
     normalised = result["residual"].get("normalised") or {}
     errors = {
@@ -251,7 +232,7 @@ def judge(
         named=tuple(cause["effect"] for cause in result["causes"]),
         confidence=tuple(cause["confidence"] for cause in result["causes"]),
         alternatives=tuple(tuple(cause["ambiguous_with"]) for cause in result["causes"]),
-        parameters=parameters,
+        parameters=_estimates_and_truths(hidden, result["causes"]),
         errors=errors,
         seconds=seconds,
         cpu_seconds=cpu_seconds,
@@ -268,6 +249,29 @@ def _is_at_least(significance: float | None, threshold: float) -> bool:
 
 def _or_infinite(value: float | None) -> float:
     return math.inf if value is None else value
+
+
+def _estimates_and_truths(
+    hidden: Sequence[TrueEffect], causes: Sequence[Mapping[str, Any]]
+) -> dict[str, tuple[float, float, float]]:
+    """Return estimate, standard error and true value of the parameters of hidden effects that were named."""
+    # Reversed, so that the first of two causes with the same part counts.
+    estimates_by_effect = {
+        effect: estimates
+        for cause in reversed(causes)
+        for effect, estimates in of_parts(cause["effect"], cause["parameters"]).items()
+    }
+    parameters: dict[str, tuple[float, float, float]] = {}
+    for effect in hidden:
+        estimates = estimates_by_effect.get(effect.id, {})
+        for name, truth in effect.scalars.items():
+            if name in estimates and estimates[name]["std"] > 0.0:
+                parameters[name] = (estimates[name]["value"], estimates[name]["std"], truth)
+        for (sine, cosine), truth in effect.amplitudes.items():
+            if sine in estimates and cosine in estimates:
+                amplitude, std = _amplitude_and_error((estimates[sine], estimates[cosine]))
+                parameters[f"{sine}, {cosine}"] = (amplitude, std, truth)
+    return parameters
 
 
 def _amplitude_and_error(pair: Sequence[Mapping[str, float]]) -> tuple[float, float]:

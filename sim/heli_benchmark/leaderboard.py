@@ -18,7 +18,7 @@ from heli_host.data.files import save_figure
 
 from heli_benchmark.entries import split_digest
 from heli_benchmark.errors import BenchmarkError
-from heli_benchmark.scores import CaseScore
+from heli_benchmark.scores import CaseScore, SizeScore
 from heli_benchmark.task import Split, read_json
 
 RESAMPLES: Final = 2000
@@ -101,7 +101,7 @@ def _case_sums(scores: Sequence[CaseScore]) -> dict[str, CaseSums]:
         is_counted = np.array([float(number is not None) for number in values])
         return CaseSums(np.array([0.0 if number is None else float(number) for number in values]), is_counted)
 
-    def mean_of_sizes(value: Callable[[tuple[bool, float]], float]) -> CaseSums:
+    def mean_of_sizes(value: Callable[[SizeScore], float]) -> CaseSums:
         """Average `value` over all estimated sizes of all cases."""
         sums = [sum(value(size) for size in case.sizes) for case in scores]
         return CaseSums(np.array(sums, float), estimated_sizes)
@@ -114,8 +114,8 @@ def _case_sums(scores: Sequence[CaseScore]) -> dict[str, CaseSums]:
         "false_names": mean_of_cases(lambda case: case.false_names),
         "false_alarms": mean_of_cases(lambda case: case.false_alarm),
         "sizes_given": CaseSums(estimated_sizes, true_sizes),
-        "sizes_within": mean_of_sizes(lambda size: size[0]),
-        "interval_score": mean_of_sizes(lambda size: size[1]),
+        "sizes_within": mean_of_sizes(lambda size: size.is_within),
+        "interval_score": mean_of_sizes(lambda size: size.interval_score),
         "equation_correlation": mean_of_cases(lambda case: case.equation),
         "prediction_error": mean_of_cases(
             lambda case: None if case.prediction is None else np.log(case.prediction)
@@ -345,7 +345,7 @@ def _scores_by_method(content: Mapping[str, Any], path: Path) -> dict[str, list[
 def _case_score(content: Mapping[str, Any]) -> CaseScore:
     """Read one score; JSON has lists where a score has tuples."""
     pairs = {
-        "sizes": tuple((bool(within), float(score)) for within, score in content["sizes"]),
+        "sizes": tuple(SizeScore(bool(within), float(score)) for within, score in content["sizes"]),
         "calibration": tuple((float(p), bool(true)) for p, true in content["calibration"]),
     }
     return CaseScore(**{**content, **pairs})

@@ -216,7 +216,7 @@ def _size_and_error(cause: Mapping[str, Any], t_s: Floats) -> tuple[float, float
 
     if name in ("thrust_fade", "supply_fade"):
         (rate_per_s, std_per_s), middle_s = value_and_std("per_s"), float(np.mean(t_s))
-        bend_per_s = value_and_std("bend_per_s")[0] if f"{name}_bend_per_s" in parameters else 0.0
+        bend_per_s, _ = value_and_std("bend_per_s") if f"{name}_bend_per_s" in parameters else (0.0, 0.0)
         # The lost share is rate * (1 - exp(-bend t)) / bend, or rate * t without a bend.
         is_bent = abs(bend_per_s) > 1e-9
         effective_s = (1.0 - np.exp(-bend_per_s * middle_s)) / bend_per_s if is_bent else middle_s

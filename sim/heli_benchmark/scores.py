@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -238,6 +238,13 @@ class Truth:
     sizes: Mapping[str, float]  # Sizes of the visible causes by parameter
 
 
+class SizeScore(NamedTuple):
+    """Score of an estimated size."""
+
+    is_within: bool  # Whether the true size is within two standard errors
+    interval_score: float  # Relative to the true size
+
+
 @dataclass(frozen=True)
 class CaseScore:
     """Scores of an answer."""
@@ -251,9 +258,7 @@ class CaseScore:
     all_named: bool | None  # Whether every visible cause is named; None without a visible cause
     false_names: int  # Named causes that are not hidden
     false_alarm: bool | None  # Whether a cause is named although nothing is hidden; None if something is
-    sizes: tuple[tuple[bool, float], ...]
-    """For each estimated size: whether it is within two standard errors, and its interval score relative to
-    the true size."""
+    sizes: tuple[SizeScore, ...]  # One per estimated size
     sizes_asked: int  # Number of true sizes
     prediction: float | None
     """Prediction error on the validation flights relative to that of the true model; None if the true model
@@ -317,10 +322,11 @@ def _score_result(reference: _CaseReference, result: Mapping[str, Any], where: s
         answer,
         reference.truth,
         causes,
-        (result.get("cpu_s"), result.get("peak_MB")),
         failure,
-        prediction,
-        equation_correlation(answer, reference.torques_Nm),
+        cpu_s=result.get("cpu_s"),
+        peak_MB=result.get("peak_MB"),
+        prediction=prediction,
+        equation=equation_correlation(answer, reference.torques_Nm),
     )
 
 
@@ -364,8 +370,10 @@ def score_answer(
     answer: Answer,
     truth: Truth,
     causes: Causes,
-    cost: tuple[float | None, float | None] = (None, None),
     failure: str = "",
+    *,
+    cpu_s: float | None = None,
+    peak_MB: float | None = None,
     prediction: float | None = None,
     equation: float | None = None,
 ) -> CaseScore:
@@ -373,14 +381,11 @@ def score_answer(
     scored = [name for name in causes.names if name not in truth.invisible]
     probabilities = {name: answer.probabilities.get(name, 0.0) for name in causes.names}
     calibration = tuple((probabilities[name], name in truth.causes) for name in scored)
-    named = (
-        set()
-        if failure
-        else {name for name in probabilities if probabilities[name] >= NAMED and name != NOTHING}
-    )
+    named = {name for name in probabilities if probabilities[name] >= NAMED and name != NOTHING}
+    if failure:
+        named = set()
     most_probable = max(probabilities, key=probabilities.__getitem__)
     visible = truth.causes - {NOTHING}
-    cpu_s, peak_MB = cost
     return CaseScore(
         case,
         log_loss=_negative_log_likelihood(calibration),
@@ -392,7 +397,7 @@ def score_answer(
         false_names=len(named - truth.causes - truth.invisible),
         false_alarm=bool(named) if NOTHING in truth.causes else None,
         sizes=tuple(
-            (
+            SizeScore(
                 abs(estimate.value - truth.sizes[name]) <= 2.0 * estimate.std,
                 _interval_score(estimate.value, estimate.std, truth.sizes[name]),
             )

@@ -15,8 +15,8 @@ import numpy as np
 from heli_host.data.log.table import write_csv
 from heli_sim.rig import Rig, load_rig
 
-from heli_benchmark.effects.listed import LISTED, MORE_LISTED, OTHER_FORMS, Maker
-from heli_benchmark.effects.unlisted import MORE_OFF_LIST, OFF_LIST
+from heli_benchmark.effects.listed import LISTED, MORE_LISTED, OTHER_FORMS, ListedEffect, Maker
+from heli_benchmark.effects.unlisted import MORE_OFF_LIST, OFF_LIST, UnlistedEffect
 from heli_benchmark.flights import flown, plan
 from heli_benchmark.plant import HiddenEffect
 
@@ -146,18 +146,21 @@ def clean_cases() -> list[Case]:
     return [cases[i] for i in np.random.default_rng(0).permutation(len(cases))]
 
 
-_SIZE_WORD = {1: "small", 2: "large"}
+_SMALL, _LARGE = 1, 2
+_SIZES = (_LARGE, _SMALL)
+_SIZE_WORD = {_SMALL: "small", _LARGE: "large"}
 
 
 def _cases_by_kind() -> Iterator[Case]:
     """Yield the cases by kind. Each later kind has its own range of seeds, which keeps earlier cases."""
     seeds = itertools.count(1001)
-    for size in (2, 1):
+    nothing_numbers = itertools.count()
+    for size in _SIZES:
         for name, listed in LISTED.items():
             yield _listed_case(name, listed, size, next(seeds))
-        for number in range(_NOTHING // 2):
+        for _ in range(_NOTHING // len(_SIZES)):
             yield Case(
-                f"nothing-{number + (2 - size) * _NOTHING // 2}",
+                f"nothing-{next(nothing_numbers)}",
                 effects=(),
                 unlisted=(),
                 seed=next(seeds),
@@ -168,39 +171,47 @@ def _cases_by_kind() -> Iterator[Case]:
         for names in _SEVERAL:
             yield Case(
                 "+".join(names) + f"-{size}",
-                effects=tuple((name, float(np.mean(LISTED[name][1:]))) for name in names),
+                effects=tuple(
+                    (name, float(np.mean([LISTED[name].small, LISTED[name].large]))) for name in names
+                ),
                 unlisted=(),
                 seed=next(seeds),
-                makers=tuple(LISTED[name][0] for name in names),
+                makers=tuple(LISTED[name].maker for name in names),
             )
     # Kinds that were added later: effects in another form, then further unlisted and listed effects.
     seeds = itertools.count(1501)
-    for name, (effect, maker, value) in OTHER_FORMS.items():
-        yield Case(name, effects=((effect, value),), unlisted=(), seed=next(seeds), makers=(maker,))
-    for size in (2, 1):
+    for name, form in OTHER_FORMS.items():
+        effects = ((form.effect, form.size),)
+        yield Case(name, effects=effects, unlisted=(), seed=next(seeds), makers=(form.maker,))
+    for size in _SIZES:
         for name, off_list in MORE_OFF_LIST.items():
             yield _unlisted_case(name, off_list, size, next(seeds))
     seeds = itertools.count(1601)
-    for size in (2, 1):
+    for size in _SIZES:
         for name, listed in MORE_LISTED.items():
             yield _listed_case(name, listed, size, next(seeds))
 
 
-def _listed_case(name: str, listed: tuple[Maker, float, float], size: int, seed: int) -> Case:
-    """Make a case with one listed effect: its maker, and its small and its large size."""
-    maker, small, large = listed
-    value = (large if size == 2 else small) * _size_factor(seed)
+def _listed_case(name: str, listed: ListedEffect, size: int, seed: int) -> Case:
+    """Make a case with one listed effect."""
+    value = (listed.large if size == _LARGE else listed.small) * _size_factor(seed)
     return Case(
-        f"{name}-{_SIZE_WORD[size]}", effects=((name, value),), unlisted=(), seed=seed, makers=(maker,)
+        f"{name}-{_SIZE_WORD[size]}",
+        effects=((name, value),),
+        unlisted=(),
+        seed=seed,
+        makers=(listed.maker,),
     )
 
 
-def _unlisted_case(name: str, off_list: tuple[Maker, float], size: int, seed: int) -> Case:
-    """Make a case with one unlisted effect: its maker and its size."""
-    maker, off_size = off_list
-    value = off_size * _OFF_FACTOR[size]
+def _unlisted_case(name: str, off_list: UnlistedEffect, size: int, seed: int) -> Case:
+    """Make a case with one unlisted effect."""
     return Case(
-        f"off-{name}-{_SIZE_WORD[size]}", effects=(), unlisted=((name, value),), seed=seed, makers=(maker,)
+        f"off-{name}-{_SIZE_WORD[size]}",
+        effects=(),
+        unlisted=((name, off_list.size * _OFF_FACTOR[size]),),
+        seed=seed,
+        makers=(off_list.maker,),
     )
 
 

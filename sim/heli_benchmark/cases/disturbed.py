@@ -77,12 +77,13 @@ class DisturbedCase(Case):
         excitation_V = rng.uniform(0.12, 0.3) * (2.5 if self.rig_name == QUANSER_RIG else 1.0)
         # One of the two flights follows sines, the other steps.
         training_has_sines = bool(rng.integers(2))
+        is_training = flight == 0
         return Route(
             duration_s,
-            float(travel_deg[flight]),
-            float(elevation_deg[flight]),
-            training_has_sines == (flight == 0),
-            excitation_V * (0.4 if self.gentle else 1.0),
+            travel_deg=float(travel_deg[flight]),
+            elevation_deg=float(elevation_deg[flight]),
+            sines=training_has_sines if is_training else not training_has_sines,
+            excitation_V=excitation_V * (0.4 if self.gentle else 1.0),
         )
 
     def both_flights(self) -> tuple[Flight, Flight]:
@@ -171,9 +172,9 @@ SIZES: dict[str, float] = {
 NEVER_DRAWN = ("random_torque", "encoder_eccentricity.elevation", "encoder_eccentricity.pitch")
 """Random torques are disturbances; over a few degrees an eccentricity of second order is a scale."""
 MAKERS: dict[str, Maker] = {
-    **{name: maker for name, (maker, _, _) in (LISTED | MORE_LISTED).items()},
+    **{name: listed.maker for name, listed in (LISTED | MORE_LISTED).items()},
     **{name: maker for name, (maker, _) in MEASURED_EFFECTS.items()},
-    **{name: maker for name, (maker, _) in DISTURBED.items()},
+    **{name: unlisted.maker for name, unlisted in DISTURBED.items()},
 }
 _ALONE = (
     *(
@@ -262,7 +263,7 @@ def _draw_case(name: str, seed: int, effects: Sequence[str], equations: Sequence
     size_factor = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if weak else 1.0)
     sized = [(name, _draw_size(name, SIZES[name], size_factor, rng)) for name in effects]
     sized_unlisted = [
-        (equation, _draw_size(equation, DISTURBED[equation][1], size_factor, rng)) for equation in equations
+        (equation, _draw_size(equation, DISTURBED[equation].size, size_factor, rng)) for equation in equations
     ]
     return DisturbedCase(
         name,

@@ -156,7 +156,7 @@ def _draw_case(name: str, draw: Draw) -> PublishedCase:
     return PublishedCase(
         name=name,
         effects=tuple((cause, size(cause, SIZES[cause])) for cause in effects),
-        unlisted=tuple((cause, size(cause, DISTURBED[cause][1])) for cause in unlisted),
+        unlisted=tuple((cause, size(cause, DISTURBED[cause].size)) for cause in unlisted),
         seed=int(draw.rng(3).integers(1 << 31)),
         makers=tuple(MAKERS[cause] for cause in (*effects, *unlisted)),
         rig_name=QUANSER_RIG if on_quanser else PAPER_RIG,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -331,61 +331,77 @@ class OnAxis:
         return self.kind(size, rng, self.place)
 
 
-LISTED: dict[str, tuple[Maker, float, float]] = {
-    "rotor_lag": (RotorLag, 0.03, 0.12),
-    "input_delay": (InputDelay, 0.01, 0.03),
-    "thrust_quadratic": (ThrustQuadratic, 0.06, 0.2),
-    "thrust_asymmetry": (ThrustAsymmetry, 0.03, 0.1),
-    "thrust_fade": (ThrustFade, 0.05, 0.15),
-    "thrust_step.front": (OnAxis(ThrustStep, 0), 0.05, 0.15),
-    "thrust_step.back": (OnAxis(ThrustStep, 1), 0.05, 0.15),
-    "supply_sag": (SupplySag, 0.03, 0.08),
-    "inflow_damping": (InflowDamping, 0.1, 0.3),
-    "ground_effect": (GroundEffect, 0.1, 0.3),
-    "rotor_reaction_torque": (ReactionTorque, 0.01, 0.03),
-    "coulomb_friction.elevation": (OnAxis(Coulomb, 0), 0.02, 0.06),
-    "coulomb_friction.pitch": (OnAxis(Coulomb, 1), 0.005, 0.02),
-    "coulomb_friction.travel": (OnAxis(Coulomb, 2), 0.01, 0.03),
-    "travel_drag_quadratic": (QuadraticDrag, 0.05, 0.15),
-    "cable_spring.elevation": (OnAxis(CableSpring, 0), 0.05, 0.2),
-    "cable_spring.travel": (OnAxis(CableSpring, 2), 0.03, 0.1),
-    "axis_tilt": (AxisTilt, 1.0, 3.0),
-    "counterweight_shift": (CounterweightShift, 0.003, 0.01),
-    "backlash.elevation": (OnAxis(Backlash, 0), 0.3, 0.8),
-    "backlash.pitch": (OnAxis(Backlash, 1), 0.3, 0.8),
-    "backlash.travel": (OnAxis(Backlash, 2), 0.3, 0.8),
-    "encoder_eccentricity.elevation": (OnAxis(Eccentricity, 0), 0.3, 0.8),
-    "encoder_eccentricity.pitch": (OnAxis(Eccentricity, 1), 0.3, 0.8),
-    "encoder_eccentricity.travel": (OnAxis(Eccentricity, 2), 0.8, 2.5),
-    "zero_offset.elevation": (OnAxis(ZeroOffset, 0), 1.0, 3.0),
-    "zero_offset.pitch": (OnAxis(ZeroOffset, 1), 1.0, 3.0),
-    "periodic_torque.elevation": (OnAxis(PeriodicTorque, 0), 0.01, 0.05),
-    "periodic_torque.pitch": (OnAxis(PeriodicTorque, 1), 0.003, 0.01),
-    "periodic_torque.travel": (OnAxis(PeriodicTorque, 2), 0.01, 0.04),
-    "random_torque.elevation": (OnAxis(RandomTorque, 0), 0.02, 0.08),
-    "random_torque.pitch": (OnAxis(RandomTorque, 1), 0.004, 0.015),
-    "random_torque.travel": (OnAxis(RandomTorque, 2), 0.015, 0.05),
+class ListedEffect(NamedTuple):
+    """How to hide an effect of the catalogue, and its sizes in cases without disturbances."""
+
+    maker: Maker
+    small: float
+    large: float
+
+
+class OtherForm(NamedTuple):
+    """How to hide an effect in another form than that of the catalogue, in one size."""
+
+    effect: str  # Id in the catalogue
+    maker: Maker
+    size: float
+
+
+LISTED: dict[str, ListedEffect] = {
+    "rotor_lag": ListedEffect(RotorLag, 0.03, 0.12),
+    "input_delay": ListedEffect(InputDelay, 0.01, 0.03),
+    "thrust_quadratic": ListedEffect(ThrustQuadratic, 0.06, 0.2),
+    "thrust_asymmetry": ListedEffect(ThrustAsymmetry, 0.03, 0.1),
+    "thrust_fade": ListedEffect(ThrustFade, 0.05, 0.15),
+    "thrust_step.front": ListedEffect(OnAxis(ThrustStep, 0), 0.05, 0.15),
+    "thrust_step.back": ListedEffect(OnAxis(ThrustStep, 1), 0.05, 0.15),
+    "supply_sag": ListedEffect(SupplySag, 0.03, 0.08),
+    "inflow_damping": ListedEffect(InflowDamping, 0.1, 0.3),
+    "ground_effect": ListedEffect(GroundEffect, 0.1, 0.3),
+    "rotor_reaction_torque": ListedEffect(ReactionTorque, 0.01, 0.03),
+    "coulomb_friction.elevation": ListedEffect(OnAxis(Coulomb, 0), 0.02, 0.06),
+    "coulomb_friction.pitch": ListedEffect(OnAxis(Coulomb, 1), 0.005, 0.02),
+    "coulomb_friction.travel": ListedEffect(OnAxis(Coulomb, 2), 0.01, 0.03),
+    "travel_drag_quadratic": ListedEffect(QuadraticDrag, 0.05, 0.15),
+    "cable_spring.elevation": ListedEffect(OnAxis(CableSpring, 0), 0.05, 0.2),
+    "cable_spring.travel": ListedEffect(OnAxis(CableSpring, 2), 0.03, 0.1),
+    "axis_tilt": ListedEffect(AxisTilt, 1.0, 3.0),
+    "counterweight_shift": ListedEffect(CounterweightShift, 0.003, 0.01),
+    "backlash.elevation": ListedEffect(OnAxis(Backlash, 0), 0.3, 0.8),
+    "backlash.pitch": ListedEffect(OnAxis(Backlash, 1), 0.3, 0.8),
+    "backlash.travel": ListedEffect(OnAxis(Backlash, 2), 0.3, 0.8),
+    "encoder_eccentricity.elevation": ListedEffect(OnAxis(Eccentricity, 0), 0.3, 0.8),
+    "encoder_eccentricity.pitch": ListedEffect(OnAxis(Eccentricity, 1), 0.3, 0.8),
+    "encoder_eccentricity.travel": ListedEffect(OnAxis(Eccentricity, 2), 0.8, 2.5),
+    "zero_offset.elevation": ListedEffect(OnAxis(ZeroOffset, 0), 1.0, 3.0),
+    "zero_offset.pitch": ListedEffect(OnAxis(ZeroOffset, 1), 1.0, 3.0),
+    "periodic_torque.elevation": ListedEffect(OnAxis(PeriodicTorque, 0), 0.01, 0.05),
+    "periodic_torque.pitch": ListedEffect(OnAxis(PeriodicTorque, 1), 0.003, 0.01),
+    "periodic_torque.travel": ListedEffect(OnAxis(PeriodicTorque, 2), 0.01, 0.04),
+    "random_torque.elevation": ListedEffect(OnAxis(RandomTorque, 0), 0.02, 0.08),
+    "random_torque.pitch": ListedEffect(OnAxis(RandomTorque, 1), 0.004, 0.015),
+    "random_torque.travel": ListedEffect(OnAxis(RandomTorque, 2), 0.015, 0.05),
 }
 """Factory, small and large size of each effect. No zero offset of travel: its zero is arbitrary."""
 
-MORE_LISTED: dict[str, tuple[Maker, float, float]] = {
-    "edgewise_flow": (LeadingRotor, 0.04, 0.12),
-    "gyroscopic_torque": (SpinningRotors, 0.02, 0.05),
+MORE_LISTED: dict[str, ListedEffect] = {
+    "edgewise_flow": ListedEffect(LeadingRotor, 0.04, 0.12),
+    "gyroscopic_torque": ListedEffect(SpinningRotors, 0.02, 0.05),
 }
 """The same for effects from measured flights; a separate list, so that other cases keep their seeds."""
 
-OTHER_FORMS: dict[str, tuple[str, Maker, float]] = {
-    "rotor_reaction_torque-opposed": ("rotor_reaction_torque", OpposedReactionTorque, 0.03),
-    "removed.friction.elevation-gone": ("removed.friction.elevation", OnAxis(NoFriction, 0), 1.0),
-    "removed.friction.pitch-gone": ("removed.friction.pitch", OnAxis(NoFriction, 1), 1.0),
-    "removed.friction.travel-gone": ("removed.friction.travel", OnAxis(NoFriction, 2), 1.0),
-    "removed.dead_zone-gone": ("removed.dead_zone", NoDeadZone, 1.0),
-    "removed.pendulum.elevation-gone": (
+OTHER_FORMS: dict[str, OtherForm] = {
+    "rotor_reaction_torque-opposed": OtherForm("rotor_reaction_torque", OpposedReactionTorque, 0.03),
+    "removed.friction.elevation-gone": OtherForm("removed.friction.elevation", OnAxis(NoFriction, 0), 1.0),
+    "removed.friction.pitch-gone": OtherForm("removed.friction.pitch", OnAxis(NoFriction, 1), 1.0),
+    "removed.friction.travel-gone": OtherForm("removed.friction.travel", OnAxis(NoFriction, 2), 1.0),
+    "removed.dead_zone-gone": OtherForm("removed.dead_zone", NoDeadZone, 1.0),
+    "removed.pendulum.elevation-gone": OtherForm(
         "removed.pendulum.elevation",
         OnAxis(NoPendulum, ("long_arm", "counterweight", "body")),
         1.0,
     ),
-    "removed.pendulum.pitch-gone": (
+    "removed.pendulum.pitch-gone": OtherForm(
         "removed.pendulum.pitch",
         OnAxis(NoPendulum, ("short_arm", "front_rotor", "back_rotor")),
         1.0,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from heli_sim.rig import Rig
 
-from heli_benchmark.effects.listed import PitchDrag
+from heli_benchmark.effects.listed import Maker, PitchDrag
 from heli_benchmark.plant import STEP_S, HiddenEffect, Moment
 
 
@@ -122,22 +122,29 @@ class StickSlip(HiddenEffect):
         model.dof_frictionloss[model.joint("travel").dofadr[0]] = self.size * np.exp(-(relative_speed**2))
 
 
-OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], float]] = {
-    "draught": (Draught, 0.06),
-    "pitch_drag_quadratic": (PitchDrag, 0.06),
-    "stiff_bearing": (StiffBearing, 0.08),
-    "cable_twist": (CableTwist, 0.03),
-    "slosh": (Slosh, 0.2),
-    "bumpy_pitch": (BumpyPitch, 0.02),
-    "wandering_thrust": (WanderingThrust, 0.04),
-    "wake_on_travel": (WakeOnTravel, 0.4),
+class UnlistedEffect(NamedTuple):
+    """How to hide an effect that the catalogue does not list, and its size."""
+
+    maker: Maker
+    size: float
+
+
+OFF_LIST: dict[str, UnlistedEffect] = {
+    "draught": UnlistedEffect(Draught, 0.06),
+    "pitch_drag_quadratic": UnlistedEffect(PitchDrag, 0.06),
+    "stiff_bearing": UnlistedEffect(StiffBearing, 0.08),
+    "cable_twist": UnlistedEffect(CableTwist, 0.03),
+    "slosh": UnlistedEffect(Slosh, 0.2),
+    "bumpy_pitch": UnlistedEffect(BumpyPitch, 0.02),
+    "wandering_thrust": UnlistedEffect(WanderingThrust, 0.04),
+    "wake_on_travel": UnlistedEffect(WakeOnTravel, 0.4),
 }
 """Factory and size of each unlisted effect in cases without disturbances."""
 
-MORE_OFF_LIST: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], float]] = {
-    "hysteretic_thrust": (HystereticThrust, 0.3),
-    "cross_coupling": (CrossCoupling, 0.2),
-    "stick_slip": (StickSlip, 0.06),
+MORE_OFF_LIST: dict[str, UnlistedEffect] = {
+    "hysteretic_thrust": UnlistedEffect(HystereticThrust, 0.3),
+    "cross_coupling": UnlistedEffect(CrossCoupling, 0.2),
+    "stick_slip": UnlistedEffect(StickSlip, 0.06),
 }
 """Further effects with their sizes. They are a separate list, so that earlier cases keep their seeds."""
 
@@ -210,20 +217,20 @@ class ThrustByPlace(HiddenEffect):
         at.thrust_N = at.thrust_N * (1.0 + self.size * np.sin(at.angles_rad[2] - self._centre_rad))
 
 
-DISTURBED: dict[str, tuple[Callable[[float, np.random.Generator], HiddenEffect], float]] = {
-    "elevation_by_twice_travel": (TwiceAround, 0.06),
-    "pitch_by_elevation": (PitchByElevation, 0.1),
-    "elevation_by_travel_rate": (LiftByTravel, 0.2),
-    "travel_by_elevation": (TravelByElevation, 0.2),
-    "pitch_by_travel": (PitchByTravel, 0.03),
-    "travel_by_pitch_rate": (TravelByPitchRate, 0.12),
-    "elevation_by_pitch_squared": (SinkByPitch, 2.0),
-    "thrust_by_travel": (ThrustByPlace, 0.12),
-    "draught": (Draught, 0.08),
-    "stiff_bearing": (StiffBearing, 0.25),
-    "bumpy_pitch": (BumpyPitch, 0.02),
-    "wake_on_travel": (WakeOnTravel, 0.8),
-    "hysteretic_thrust": (HystereticThrust, 0.2),
+DISTURBED: dict[str, UnlistedEffect] = {
+    "elevation_by_twice_travel": UnlistedEffect(TwiceAround, 0.06),
+    "pitch_by_elevation": UnlistedEffect(PitchByElevation, 0.1),
+    "elevation_by_travel_rate": UnlistedEffect(LiftByTravel, 0.2),
+    "travel_by_elevation": UnlistedEffect(TravelByElevation, 0.2),
+    "pitch_by_travel": UnlistedEffect(PitchByTravel, 0.03),
+    "travel_by_pitch_rate": UnlistedEffect(TravelByPitchRate, 0.12),
+    "elevation_by_pitch_squared": UnlistedEffect(SinkByPitch, 2.0),
+    "thrust_by_travel": UnlistedEffect(ThrustByPlace, 0.12),
+    "draught": UnlistedEffect(Draught, 0.08),
+    "stiff_bearing": UnlistedEffect(StiffBearing, 0.25),
+    "bumpy_pitch": UnlistedEffect(BumpyPitch, 0.02),
+    "wake_on_travel": UnlistedEffect(WakeOnTravel, 0.8),
+    "hysteretic_thrust": UnlistedEffect(HystereticThrust, 0.2),
 }
 """Factory and size, for moderate disturbances, of the effects in disturbed cases.
 

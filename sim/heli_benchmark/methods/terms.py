@@ -36,15 +36,18 @@ class SmoothedFlight:
         # `filtered` passes signals through the filter a second time.
         step_s = float(flight.t_s[-1] - flight.t_s[0]) / (len(flight) - 1)
         half = round(_WINDOW_s / 2.0 / step_s)
-        self._kernels = _weak_kernels(half, step_s) if weak_form else _smoothing_kernels(half, step_s)
-        self.angles_rad = _convolve(flight.angles_rad, _smoothing_kernels(half, step_s)[0])
-        self.rates_rad_s = _convolve(flight.angles_rad, _smoothing_kernels(half, step_s)[1])
+        smooth, first, second = _smoothing_kernels(half, step_s)
+        self.angles_rad = _convolve(flight.angles_rad, smooth)
+        self.rates_rad_s = _convolve(flight.angles_rad, first)
+        self._kernel = smooth
+        if weak_form:
+            self._kernel, second = _weak_kernels(half, step_s)
         self.volts_V = flight.voltages_V[half : len(flight) - half]
         self.t_s = flight.t_s[half : len(flight) - half] - flight.t_s[0]
         self._grid_rows = slice(half, len(self.t_s) - half, max(1, round(GRID_s / step_s)))
         self._half_window = half
         self.volt_rates_V_s = np.gradient(self.volts_V, step_s, axis=0)
-        self.acceleration = _convolve(flight.angles_rad, self._kernels[2])[self._grid_rows]
+        self.acceleration = _convolve(flight.angles_rad, second)[self._grid_rows]
         self.signals = np.hstack([self.angles_rad, self.rates_rad_s, self.volts_V])
         self.features = self.signals[self._grid_rows]
 
@@ -53,7 +56,7 @@ class SmoothedFlight:
         returns (k, ...).
         """
         flat = values.reshape(len(values), -1)
-        padded = np.pad(_convolve(flat, self._kernels[0]), ((self._half_window, self._half_window), (0, 0)))
+        padded = np.pad(_convolve(flat, self._kernel), ((self._half_window, self._half_window), (0, 0)))
         return padded[self._grid_rows].reshape(-1, *values.shape[1:])
 
 
@@ -118,8 +121,8 @@ def _smoothing_kernels(half_window: int, step_s: float) -> tuple[Floats, Floats,
     return smooth, first, second
 
 
-def _weak_kernels(half_window: int, step_s: float) -> tuple[Floats, Floats, Floats]:
-    """Return the test function (1 - x^2)^4, zeros, and the second derivative of the test function."""
+def _weak_kernels(half_window: int, step_s: float) -> tuple[Floats, Floats]:
+    """Return the test function (1 - x^2)^4, and its second derivative."""
     # In the weak form, a signal is averaged with the test function as its weight. Integrating by parts twice
     # moves the second derivative from the angles, which are noisy, to the test function.
     x = np.arange(-half_window, half_window + 1) / (half_window + 1.0)
@@ -127,7 +130,7 @@ def _weak_kernels(half_window: int, step_s: float) -> tuple[Floats, Floats, Floa
     test = (1.0 - x**2) ** 4
     second = 8.0 * (1.0 - x**2) ** 2 * (7.0 * x**2 - 1.0)
     total = test.sum()
-    return test / total, np.zeros_like(test), second * x_per_s**2 / total
+    return test / total, second * x_per_s**2 / total
 
 
 def _convolve(values: Floats, kernel: Floats) -> Floats:

@@ -41,7 +41,7 @@ def calm_case(seed: int) -> CalmCase:
         effects=effects,
         unlisted=(),
         seed=seed,
-        makers=tuple(LISTED[id_][0] for id_, _ in effects),
+        makers=tuple(LISTED[id_].maker for id_, _ in effects),
         rig_name=PAPER_RIG,
         rate_Hz=RATES_Hz[int(rng.integers(len(RATES_Hz)))],
         gentle=False,

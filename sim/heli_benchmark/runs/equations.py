@@ -60,7 +60,7 @@ def equation_cases() -> list[DisturbedCase]:
                 effects=(("rotor_lag", _LAG_s),) if has_lag else (),
                 unlisted=((equation, EQUATIONS[equation].size * _SIZES[size] * _LARGER[strength]),),
                 seed=5000 + number,
-                makers=(LISTED["rotor_lag"][0], *makers) if has_lag else makers,
+                makers=(LISTED["rotor_lag"].maker, *makers) if has_lag else makers,
                 rig_name="makki2024",
                 rate_Hz=int(rng.choice(_RATES_Hz)),
                 gentle=False,

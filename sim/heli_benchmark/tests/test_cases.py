@@ -52,7 +52,7 @@ NOT_HIDDEN = {
 
 
 def test_every_effect_of_the_list_is_hidden_in_two_sizes_or_in_disturbances_or_gone() -> None:
-    hidden = {*LISTED, *MORE_LISTED, *(effect for effect, _, _ in OTHER_FORMS.values())}
+    hidden = {*LISTED, *MORE_LISTED, *(form.effect for form in OTHER_FORMS.values())}
     assert hidden <= set(catalogue())
     removed = {id for id in catalogue() if id.startswith("removed.")}
     assert {*COMMON, *MEASURED, *removed} <= {*hidden, *MEASURED_EFFECTS, *PARTS, *NOT_HIDDEN}

@@ -6,7 +6,7 @@ import datetime
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -132,6 +132,15 @@ def draw_case(seed: int, number: int, recipes: Sequence[FlightRecipe], flights: 
     index = int(random.rng.integers(len(flights)))
     recipe, flight = recipes[index], flights[index]
     return _Drawing(random, recipe, flight, load_rig(recipe.rig_name)).case(seed, number)
+
+
+class _Clock(NamedTuple):
+    """The time of each row, as a logger writes it."""
+
+    values: Floats  # In the unit
+    unit: str = "s"
+    decimals: int = 6
+    texts: tuple[str, ...] = ()  # Times as texts, if the logger writes texts
 
 
 class _Drawing:
@@ -562,87 +571,86 @@ class _Drawing:
     def _clocked(
         self, kind: str, container: str, measured: _Measured, columns: tuple[LoggedColumn, ...]
     ) -> tuple[Recording, float]:
-        """Write the clock of each row as the logger does."""
-        random = self.random
-        true_s = measured.true_s
-        start_s = random.choice(("0", "0", "boot", "late"))
-        offset_s = {"0": 0.0, "boot": random.between(1.0, 90.0), "late": random.between(200.0, 4000.0)}[
-            start_s
-        ]
-        t_s = true_s - true_s[0] + offset_s
-        epoch_s = 1.70e9 + random.between(0.0, 6e7)
-        day_s = random.between(0.0, 80_000.0)
-        name, rate_Hz = self.words.time, 0.0
-        texts: tuple[str, ...] = ()
-        unit, decimals, clock = "s", 6, t_s
-        if kind in ("s", "stamps", "recorder", "two clocks"):
-            decimals = 3 + int(random.rng.integers(4))
-        elif kind in ("ms", "us", "ns"):
-            unit, decimals = kind, 0
-            clock = np.floor(t_s * {"ms": 1e3, "us": 1e6, "ns": 1e9}[kind])
-        elif kind == "min":
-            unit, decimals, clock = "min", 7, t_s / 60.0
-        elif kind == "epoch s":
-            clock = epoch_s + t_s
-        elif kind == "epoch ms":
-            unit, decimals, clock = "ms", 0, np.floor((epoch_s + t_s) * 1e3)
-        elif kind == "five digits":
-            offset_s = float(random.choice(("100", "1000"))) * random.between(1.0, 2.0)
-            decimals, clock = -5, t_s - t_s[0] + offset_s
-            # Rounded for all containers: not each writes numbers as texts.
-            clock = np.array([float(f"{value:.5g}") for value in clock])
-            self._note_repeats(clock)
-        elif kind in ("tenths", "whole seconds"):
-            decimals = 1 if kind == "tenths" else 0
-            clock = np.round(clock, decimals)
-            self._note_repeats(clock)
-        elif kind == "overflow 16 ms":
-            unit, decimals = "ms", 0
-            clock = np.mod(np.floor((t_s - t_s[0]) * 1e3) + 65536.0 - random.between(3e3, 2e4), 65536.0)
-            clock = np.floor(clock)
-            self._note_overflow(clock)
-        elif kind == "overflow 32 us":
-            unit, decimals = "us", 0
-            clock = np.mod(np.floor((t_s - t_s[0]) * 1e6) + 2.0**32 - random.between(3e6, 2e7), 2.0**32)
-            clock = np.floor(clock)
-            self._note_overflow(clock)
-        elif kind == "restart":
-            first = int(true_s.size * random.between(0.35, 0.65))
-            clock = np.where(np.arange(true_s.size) < first, t_s - t_s[0], t_s - t_s[first])
-            decimals = 3
-            self.reports["restart"] = _REPORTS["restart"]
-        elif kind == "rows":
-            name, unit, decimals = self.words.counter, "", 0
-            clock = np.arange(float(true_s.size))
+        """Write the clock of each row as the logger does; return the rate too, if the user states it."""
+        clock = self._clock(kind, measured.true_s)
+        rate_Hz = 0.0
+        name = self.words.counter if kind == "rows" else "" if kind == "none" else self.words.time
+        if kind == "rows" or (kind == "none" and self.random.chance(0.7)):
             rate_Hz = self.rate_Hz
-        elif kind == "none":
-            name = ""
-            rate_Hz = self.rate_Hz if random.chance(0.7) else 0.0
-        elif kind == "datetime":
-            unit = "datetime"
-            clock = epoch_s + t_s
-        else:
-            texts = _clock_texts(kind, t_s, epoch_s, day_s)
-            unit = ""
         columns = tuple(column for column in columns if kind != "rows" or not name or column.name != name)
-        full_name, _ = self._header(name, unit) if name else ("", "")
-        if unit in ("ms", "us", "ns", "min") and self.unit_style in ("none", "row") and self.style != "none":
+        full_name, _ = self._header(name, clock.unit) if name else ("", "")
+        has_names = self.style != "none"
+        if clock.unit in ("ms", "us", "ns", "min") and self.unit_style in ("none", "row") and has_names:
             # A name without its unit leaves the unit to the steps, which only one unit fits.
-            full_name = f"{name}_{unit}" if random.chance(0.5) else name
+            full_name = f"{name}_{clock.unit}" if self.random.chance(0.5) else name
         recording = Recording(
             f"log_{self.style.replace(' ', '_')}",
-            kind,
-            full_name,
-            unit,
-            clock,
-            texts,
-            decimals,
-            true_s,
-            columns,
-            self.style != "none",
-            self.unit_style == "row",
+            clock_kind=kind,
+            clock_name=full_name,
+            clock_unit=clock.unit,
+            clock=clock.values,
+            clock_texts=clock.texts,
+            clock_decimals=clock.decimals,
+            true_s=measured.true_s,
+            columns=columns,
+            has_header=has_names,
+            unit_row=self.unit_style == "row",
         )
         return recording, rate_Hz
+
+    def _clock(self, kind: str, true_s: Floats) -> _Clock:
+        """Write the time of each row in a `kind` of clock."""
+        random = self.random
+        start = random.choice(("0", "0", "boot", "late"))
+        offsets_s = {"0": 0.0, "boot": random.between(1.0, 90.0), "late": random.between(200.0, 4000.0)}
+        t_s = true_s - true_s[0] + offsets_s[start]
+        since_start_s = t_s - t_s[0]
+        epoch_s = 1.70e9 + random.between(0.0, 6e7)
+        day_s = random.between(0.0, 80_000.0)
+        if kind in ("s", "stamps", "recorder", "two clocks"):
+            return _Clock(t_s, decimals=3 + int(random.rng.integers(4)))
+        if kind in ("ms", "us", "ns"):
+            per_s = {"ms": 1e3, "us": 1e6, "ns": 1e9}[kind]
+            return _Clock(np.floor(t_s * per_s), kind, decimals=0)
+        if kind == "min":
+            return _Clock(t_s / 60.0, "min", decimals=7)
+        if kind == "epoch s":
+            return _Clock(epoch_s + t_s)
+        if kind == "epoch ms":
+            return _Clock(np.floor((epoch_s + t_s) * 1e3), "ms", decimals=0)
+        if kind == "five digits":
+            offset_s = float(random.choice(("100", "1000"))) * random.between(1.0, 2.0)
+            # Rounded for all containers: not each writes numbers as texts.
+            values = np.array([float(f"{value:.5g}") for value in since_start_s + offset_s])
+            self._note_repeats(values)
+            return _Clock(values, decimals=-5)
+        if kind in ("tenths", "whole seconds"):
+            decimals = 1 if kind == "tenths" else 0
+            values = np.round(t_s, decimals)
+            self._note_repeats(values)
+            return _Clock(values, decimals=decimals)
+        if kind == "overflow 16 ms":
+            remaining_ms = random.between(3e3, 2e4)  # Until the counter overflows
+            values = np.mod(np.floor(since_start_s * 1e3) + 65536.0 - remaining_ms, 65536.0)
+            self._note_overflow(np.floor(values))
+            return _Clock(np.floor(values), "ms", decimals=0)
+        if kind == "overflow 32 us":
+            remaining_us = random.between(3e6, 2e7)
+            values = np.mod(np.floor(since_start_s * 1e6) + 2.0**32 - remaining_us, 2.0**32)
+            self._note_overflow(np.floor(values))
+            return _Clock(np.floor(values), "us", decimals=0)
+        if kind == "restart":
+            first = int(true_s.size * random.between(0.35, 0.65))
+            values = np.where(np.arange(true_s.size) < first, since_start_s, t_s - t_s[first])
+            self.reports["restart"] = _REPORTS["restart"]
+            return _Clock(values, decimals=3)
+        if kind == "rows":
+            return _Clock(np.arange(float(true_s.size)), "", decimals=0)
+        if kind == "none":
+            return _Clock(t_s)
+        if kind == "datetime":
+            return _Clock(epoch_s + t_s, "datetime")
+        return _Clock(t_s, "", texts=_clock_texts(kind, t_s, day_s))
 
     def _note_overflow(self, clock: Floats) -> None:
         """Note that the counter overflows; a short file may end before."""
@@ -681,7 +689,7 @@ def _held(values: Floats) -> Floats:
     return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
 
 
-def _clock_texts(kind: str, t_s: Floats, epoch_s: float, day_s: float) -> tuple[str, ...]:
+def _clock_texts(kind: str, t_s: Floats, day_s: float) -> tuple[str, ...]:
     """Write times as texts."""
     if kind == "clock":
         of_day = [day_s + t for t in t_s - t_s[0]]
