@@ -126,7 +126,7 @@ def _run_cases(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[_
             campaign, store, processes=options.processes, code=code, is_repeated=is_repeated
         ):
             if result.failure:
-                yield _CaseResult(None, f"{result.name}: {result.failure}")
+                yield _CaseResult(row=None, failure=f"{result.name}: {result.failure}")
             else:
                 yield _CaseResult(Row.read(result.detail))
     except KeyboardInterrupt:

@@ -65,7 +65,7 @@ def builtin_methods() -> list[str]:
 def find_method(text: str) -> MethodAddress:
     """Find a method."""
     if text in builtin_methods():
-        return MethodAddress(_METHODS / f"{text}.py", _FUNCTION, True)
+        return MethodAddress(_METHODS / f"{text}.py", _FUNCTION, builtin=True)
     name, _, function = text.rpartition(":")
     if not name or not function.isidentifier():
         raise BenchmarkError(
@@ -74,7 +74,7 @@ def find_method(text: str) -> MethodAddress:
     file = Path(name)
     if not file.is_file():
         raise BenchmarkError(f"the file of the method, {name}, does not exist", "check the path")
-    return MethodAddress(file.resolve(), function, False)
+    return MethodAddress(file.resolve(), function, builtin=False)
 
 
 def load_function(method: MethodAddress) -> Callable[..., Any]:

@@ -191,7 +191,7 @@ def _at_least(
     """Return the goal that at least the share `wanted` of the `flags` is true; without `wanted`, a count."""
     share = sum(flags) / max(len(flags), 1)
     reached = None if wanted is None or not flags else share >= wanted
-    goal = _share_goal(flags, share, wanted, False, reached)
+    goal = _share_goal(flags, share, wanted, at_most=False, reached=reached)
     if borderline_cases:
         goal["borderline"] = {"count": sum(borderline_cases), "of": len(borderline_cases)}
     return goal
@@ -200,7 +200,7 @@ def _at_least(
 def _at_most(flags: Sequence[bool], wanted: float) -> dict[str, Any]:
     """Return the goal that at most the share `wanted` of the `flags` is true."""
     share = sum(flags) / max(len(flags), 1)
-    return _share_goal(flags, share, wanted, True, share <= wanted)
+    return _share_goal(flags, share, wanted, at_most=True, reached=share <= wanted)
 
 
 def _share_goal(

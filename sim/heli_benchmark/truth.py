@@ -143,7 +143,7 @@ class InformedFit:
 def fit_informed(rig: Rig, flights: tuple[Flight, Flight], hidden: Sequence[TrueEffect]) -> InformedFit:
     """Fit the baseline, and the model with the true causes."""
     records = prepare(flights[0], rig, "a"), prepare(flights[1], rig, "b")
-    nothing = _fit_effects(rig, records, (), {}, None)
+    nothing = _fit_effects(rig, records, (), {}, start=None)
     kinds = catalogue()
     effects, fixed_values = [], dict[str, float]()
     for effect in hidden:
@@ -205,7 +205,7 @@ def _fit_effects(
         model,
         rig,
         records[:1],
-        free=estimated_names(model, rig, None, list(fixed)),
+        free=estimated_names(model, rig, free=None, fixed=list(fixed)),
         step_s=_STEP_S,
         values=fixed,
     )

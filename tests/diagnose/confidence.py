@@ -210,28 +210,26 @@ def main(arguments: Sequence[str]) -> int:
     chosen = parser.parse_args(arguments)
     one_thread_each()
     chosen.output.parent.mkdir(parents=True, exist_ok=True)
-    answers: list[tuple[float, bool, bool]] = []
-    unconfirmed: list[tuple[float, bool]] = []
+    # Confidence of each cause, and whether the cause is right.
+    by_confirmation: dict[bool, list[tuple[float, bool]]] = {True: [], False: []}
+    if_confirmed: list[tuple[float, bool]] = []
     for drawn, results in measure(chosen.output, chosen.seeds or list(DEVELOPMENT), chosen.reverse):
         for role, causes in results.items():
             for cause in causes:
                 right = is_right(drawn, cause["effect"], cause["ambiguous_with"])
-                answers.append((cause["confidence"], right, cause["confirmed"]))
+                by_confirmation[cause["confirmed"]].append((cause["confidence"], right))
                 if not cause["confirmed"]:
-                    unconfirmed.append((cause["if_confirmed"], right))
+                    if_confirmed.append((cause["if_confirmed"], right))
                 print(
                     f"{drawn.seed} {drawn.kind:15} {role:8} {cause['effect']:28} {cause['confidence']:.3f} "
                     f"{'right' if right else 'wrong'}  {cause['why_not'] or 'confirmed'}",
                     flush=True,
                 )
-    for confirmed in (True, False):
+    for confirmed, answers in by_confirmation.items():
         print("confirmed" if confirmed else "not confirmed")
-        print(
-            *table([(sure, right) for sure, right, is_confirmed in answers if is_confirmed is confirmed]),
-            sep="\n",
-        )
+        print(*table(answers), sep="\n")
     print("not confirmed, by the confidence with confirmation")
-    print(*table(unconfirmed), sep="\n")
+    print(*table(if_confirmed), sep="\n")
     return 0
 
 

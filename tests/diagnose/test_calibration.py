@@ -135,7 +135,9 @@ def test_every_threshold_has_a_unit_and_a_source_in_the_table() -> None:
     rows = {row.name: row for row in thresholds.table()}
     assert set(rows) == constants
     assert all(row.unit for row in rows.values())
-    assert rows["CALIBRATE_s"] == thresholds.Threshold("CALIBRATE_s", "s", 8.0, thresholds.JUDGEMENT)
+    assert rows["CALIBRATE_s"] == thresholds.Threshold(
+        "CALIBRATE_s", unit="s", value=8.0, source=thresholds.JUDGEMENT
+    )
 
 
 def test_units_at_the_end_of_names_are_those_of_the_table() -> None:

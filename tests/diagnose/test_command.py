@@ -59,20 +59,8 @@ def test_short_part_of_a_flight_gets_a_proposal_for_the_next_flight(
     terminal: Terminal, tables: tuple[Path, Path]
 ) -> None:
     fit, held_out = tables
-    result = terminal(
-        "diagnose",
-        fit,
-        "--validate",
-        held_out,
-        "--from",
-        "12",
-        "--to",
-        "17",
-        "--json",
-        "-",
-        "--report",
-        "why",
-    )
+    options = ("--from", "12", "--to", "17", "--json", "-", "--report", "why")
+    result = terminal("diagnose", fit, "--validate", held_out, *options)
     assert result.code == 0, result.err
     # Standard output has the numbers and nothing else; words go to standard error.
     numbers = json.loads(result.out)

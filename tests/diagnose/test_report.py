@@ -137,7 +137,17 @@ def term(on: str = "pitch", id_: str = "rotor_lag") -> MissingTerm:
     contribution = np.where(acts, np.sin(t_s), 0.01 * np.sin(t_s))
     zeros = np.zeros_like(t_s)
     return MissingTerm(
-        id_, "torque", "mN m", "pitch", on, "s", t_s, contribution, zeros + 0.1, zeros, contribution
+        id_,
+        what="torque",
+        unit="mN m",
+        axis="pitch",
+        on=on,
+        on_unit="s",
+        quantity=t_s,
+        missing=contribution,
+        std=zeros + 0.1,
+        remaining=zeros,
+        contribution=contribution,
     )
 
 
@@ -201,7 +211,9 @@ def test_symbols_are_those_of_the_equation_without_its_functions() -> None:
     ],
 )
 def test_an_uncertain_cause_is_not_stated_as_a_fact(confidence: float, certain: bool, text: str) -> None:
-    cause = CauseEntry("rotor_lag", {}, confidence, "the rotors lag", "", {})
+    cause = CauseEntry(
+        "rotor_lag", parameters={}, confidence=confidence, sentence="the rotors lag", equation="", evidence={}
+    )
     assert cause.statement(certain) == text
 
 
@@ -242,7 +254,7 @@ def test_extended_rig_of_several_flights_has_the_means_of_their_zeros_and_torque
         elapsed_s=0.0,
         converged=True,
     )
-    numbers = extended_rig("extended", fit, {}, {}, None).numbers
+    numbers = extended_rig("extended", fit, {}, {}, term=None).numbers
     assert numbers["offset_pitch"].value == pytest.approx(0.4)
     assert numbers["torque_pitch"].value == pytest.approx(0.02)
     # The next flight has other zeros: the scatter of two, and never less than the rig file states.

@@ -85,7 +85,9 @@ def judged(change_counts: float, total: float = 1.4) -> Diagnosis:
     """Judge a right cause again whose model leaves a significant dependence of this size."""
     diagnosis = diagnosed("rotor_lag=0.06")
     assessment = diagnosis.assessment
-    dependence = Dependence("torque.pitch on travel_rate", 24.0, 22.0, change_counts)
+    dependence = Dependence(
+        "torque.pitch on travel_rate", log_likelihood_gain=24.0, penalty=22.0, change_counts=change_counts
+    )
     residual = replace(assessment.residual_analysis, dependences=(dependence,))
     after = replace(assessment.after, held_out=replace(assessment.after.held_out, total=total))
     new_verdict = verdict.judge(diagnosis.search, residual, after, diagnosis.kinds, absent=False)

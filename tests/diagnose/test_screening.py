@@ -155,7 +155,11 @@ def test_effects_that_disturbances_replace_are_worth_a_refit(comparison: ModelCo
 @pytest.mark.slow
 def test_a_round_without_a_cause_refits_what_the_disturbances_hide(monkeypatch: pytest.MonkeyPatch) -> None:
     spring = ScoredCandidate(
-        typical_candidate(catalogue()["cable_spring.elevation"]), 4.8, np.zeros(1), np.ones(1), 1
+        typical_candidate(catalogue()["cable_spring.elevation"]),
+        log_likelihood_gain=4.8,
+        coefficients=np.zeros(1),
+        std=np.ones(1),
+        tried=1,
     )
     hidden = replace(spring, log_likelihood_gain=183.0)
     refitted: list[ScoredCandidate] = []
@@ -165,7 +169,12 @@ def test_a_round_without_a_cause_refits_what_the_disturbances_hide(monkeypatch: 
     acceptance = SimpleNamespace(worth_a_refit=lambda scored: [], accepts=lambda refit: False, kinds={})
     progress = SimpleNamespace(refits_left=lambda: True)
     round_refits = forward.RoundRefits(
-        cast(Any, None), cast(Any, acceptance), cast(Any, progress), 0, cast(Any, None), [spring]
+        cast(Any, None),
+        acceptance=cast(Any, acceptance),
+        progress=cast(Any, progress),
+        number=0,
+        base=cast(Any, None),
+        screened=[spring],
     )
     monkeypatch.setattr(round_refits, "_refit", refitted.append)
     round_refits.refit_effects(cast(Any, None))
@@ -217,13 +226,13 @@ def test_effects_come_back_if_held_out_flights_contradict_a_spline() -> None:
 
     # The search accepted the first and the second effect. In the third round, a spline was better than the
     # third effect, and made the second one superfluous.
-    listed = Refit(hypothesis([first, second, third]), 40.0, 10.0, 30.0)
+    listed = Refit(hypothesis([first, second, third]), gain=40.0, penalty=10.0, score=30.0)
     bases = [hypothesis([]), hypothesis([first]), hypothesis([first, second])]
-    refits = (Refit(hypothesis([spline]), 99.0, 10.0, 99.0), listed)
+    refits = (Refit(hypothesis([spline]), gain=99.0, penalty=10.0, score=99.0), listed)
     rounds = [
-        Round(bases[0], (), (), (), first.id),
-        Round(bases[1], (), (), (), second.id),
-        Round(bases[2], (), (), refits, spline.id),
+        Round(bases[0], screened=(), splines=(), refits=(), accepted_id=first.id),
+        Round(bases[1], screened=(), splines=(), refits=(), accepted_id=second.id),
+        Round(bases[2], screened=(), splines=(), refits=refits, accepted_id=spline.id),
     ]
     comparison = cast(ModelComparison, SimpleNamespace(refit=refit))
     acceptance = cast(Acceptance, SimpleNamespace(accepts=lambda candidate: candidate is listed, kinds=KINDS))
@@ -253,7 +262,9 @@ def test_a_spline_must_gain_on_held_out_flights_but_an_effect_need_not(
     )
     acceptance = SimpleNamespace(penalty=lambda _: 1.0, kinds=KINDS)
     nothing: Any = None
-    backward = BackwardElimination(nothing, cast(Acceptance, acceptance), nothing, hypothesis([]), [])
+    backward = BackwardElimination(
+        nothing, acceptance=cast(Acceptance, acceptance), progress=nothing, baseline=hypothesis([]), rounds=[]
+    )
     spline = Candidate("spline:a:b", typical_candidate(KINDS["axis_tilt"]).effect, ())
     final = hypothesis([typical_candidate(KINDS["axis_tilt"]), spline])
     result, _ = backward.eliminate(final)
@@ -279,7 +290,9 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     acceptance = cast(Acceptance, SimpleNamespace(kinds=KINDS, penalty=lambda candidate, tried: 10.0))
     base = hypothesis([])
     base.log_likelihood = 0.0  # type: ignore[misc]
-    scored = ScoredCandidate(second, 48.0, np.full(2, 0.01), np.ones(2), 2)
+    scored = ScoredCandidate(
+        second, log_likelihood_gain=48.0, coefficients=np.full(2, 0.01), std=np.ones(2), tried=2
+    )
     best = refit_on_grid(comparison, acceptance, base, scored)
     assert refitted_orders == [2.0, 1.0]
     assert best.candidate.effect.values[order] == 1.0
@@ -292,7 +305,7 @@ def test_added_candidate_is_the_one_scored_in_any_order_of_the_model() -> None:
     cached = hypothesis([play, friction])
     comparison = cast(ModelComparison, SimpleNamespace(refit=lambda *_: cached))
     acceptance = cast(Acceptance, SimpleNamespace(kinds=KINDS, penalty=lambda *_: 7.0))
-    scored = ScoredCandidate(play, 0.0, np.zeros(1), np.ones(1), 1)
+    scored = ScoredCandidate(play, log_likelihood_gain=0.0, coefficients=np.zeros(1), std=np.ones(1), tried=1)
     refit = refit_on_grid(comparison, acceptance, hypothesis([friction]), scored)
     assert refit.candidate.id == "backlash.pitch"
 

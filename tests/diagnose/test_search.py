@@ -108,15 +108,21 @@ def test_play_is_refitted_and_then_friction_if_the_play_is_best(
         return SimpleNamespace(candidate=candidate, margin=margins[candidate.id])
 
     monkeypatch.setattr(forward, "refit_on_grid", refit)
-    lag = ScoredCandidate(typical_candidate(KINDS["rotor_lag"]), 90.0, np.zeros(1), np.ones(1), 1)
+    lag = ScoredCandidate(
+        typical_candidate(KINDS["rotor_lag"]),
+        log_likelihood_gain=90.0,
+        coefficients=np.zeros(1),
+        std=np.ones(1),
+        tried=1,
+    )
     base = cast(Hypothesis, SimpleNamespace(ids=()))
     round_refits = RoundRefits(
         cast(ModelComparison, SimpleNamespace(held_out=())),
-        cast(Acceptance, acceptance),
-        cast(Progress, progress),
-        0,
-        base,
-        [lag],
+        acceptance=cast(Acceptance, acceptance),
+        progress=cast(Progress, progress),
+        number=0,
+        base=base,
+        screened=[lag],
     )
     round_refits.refit_effects(cast(Screening, screening))
     assert [refit.candidate.id for refit in round_refits.refits] == refitted_ids
@@ -130,8 +136,8 @@ def test_a_clear_log_likelihood_ratio_overrides_the_wald_test() -> None:
     candidate = typical_candidate(kind)
     record = SimpleNamespace(step_s=0.01, count_rad=np.full(3, 0.0015))
     acceptance = Acceptance(cast(ModelComparison, SimpleNamespace(train=[record])), KINDS)
-    assert acceptance.is_significant(Refit(hypothesis, 1300.0, 11.0, 0.0), candidate)
-    assert not acceptance.is_significant(Refit(hypothesis, 30.0, 11.0, 0.0), candidate)
+    assert acceptance.is_significant(Refit(hypothesis, gain=1300.0, penalty=11.0, score=0.0), candidate)
+    assert not acceptance.is_significant(Refit(hypothesis, gain=30.0, penalty=11.0, score=0.0), candidate)
 
 
 def test_a_play_needs_more_evidence_next_to_friction_about_its_axis() -> None:
@@ -187,9 +193,12 @@ def eliminated(
     )
     progress = SimpleNamespace(check=lambda *_: None, refits_left=lambda: refits_left)
     tried = [hypothesis([typical_candidate(KINDS[id_])], gains) for id_ in (*causes, *refitted)]
-    refits = tuple(Refit(of, of.log_likelihood, 8.0, of.log_likelihood, of.ids[0]) for of in tried)
+    refits = tuple(
+        Refit(of, gain=of.log_likelihood, penalty=8.0, score=of.log_likelihood, added_id=of.ids[0])
+        for of in tried
+    )
     base = hypothesis([], gains)
-    rounds = [Round(base, (), (), refits, id_) for id_ in causes]
+    rounds = [Round(base, screened=(), splines=(), refits=refits, accepted_id=id_) for id_ in causes]
     given: Any = (comparison, acceptance, progress, base, rounds)
     _, kept = BackwardElimination(*given).eliminate(hypothesis(candidates, gains))
     return {
@@ -274,12 +283,16 @@ def test_displaced_effect_stays_out_if_a_later_cause_excludes_it() -> None:
         MultibodyModel(tuple(candidate.effect for candidate in candidates))
         return combinations_hypothesis(*refitted[-1])
 
-    best = Refit(combinations_hypothesis("rotor_lag_with_delay"), 40.0, 10.0, 30.0)
+    best = Refit(combinations_hypothesis("rotor_lag_with_delay"), gain=40.0, penalty=10.0, score=30.0)
     base = combinations_hypothesis("axis_tilt")
-    round_ = Round(base, (), (), (best,), spline.id)
+    round_ = Round(base, screened=(), splines=(), refits=(best,), accepted_id=spline.id)
     acceptance = SimpleNamespace(accepts=lambda _: True, kinds=KINDS)
     backward = BackwardElimination(
-        cast(Any, SimpleNamespace(refit=refit)), cast(Any, acceptance), cast(Any, None), base, [round_]
+        cast(Any, SimpleNamespace(refit=refit)),
+        acceptance=cast(Any, acceptance),
+        progress=cast(Any, None),
+        baseline=base,
+        rounds=[round_],
     )
     final = cast(
         Hypothesis, SimpleNamespace(candidates=(spline, *combinations_hypothesis("input_delay").candidates))
@@ -348,7 +361,9 @@ def test_a_delay_becomes_a_lag_with_delay_only_if_the_lag_is_resolved(lag_s: flo
 def test_effects_with_sizes_that_no_flight_resolves_are_no_alternatives() -> None:
     comparison = SimpleNamespace(train=[RECORD])
     acceptance = Acceptance(cast(ModelComparison, comparison), KINDS)
-    backward = BackwardElimination(cast(Any, comparison), acceptance, cast(Any, None), cast(Any, None), [])
+    backward = BackwardElimination(
+        cast(Any, comparison), acceptance, progress=cast(Any, None), baseline=cast(Any, None), rounds=[]
+    )
     delay, wide, lag = (typical_candidate(KINDS[id_]) for id_ in ("input_delay", WIDE, "rotor_speed_lag"))
     assert backward._adds_unresolved(delay, wide, exchange_hypothesis(WIDE, 0.0008, 0.0283))
     assert not backward._adds_unresolved(delay, wide, exchange_hypothesis(WIDE, 0.02, 0.0283))
@@ -408,9 +423,12 @@ def test_delays_below_a_step_and_plays_below_a_count_are_not_significant(
     for value, is_visible in ((too_small, False), (large_enough, True)):
         hypothesis = cast(Hypothesis, SimpleNamespace(params={size: value}, std={size: 1e-6}))
         assert is_resolved(hypothesis, KINDS[id_], RESOLUTION_RECORD) is is_visible
-        assert acceptance.is_significant(Refit(hypothesis, 30.0, 8.0, 0.0), candidate) is is_visible
+        assert (
+            acceptance.is_significant(Refit(hypothesis, gain=30.0, penalty=8.0, score=0.0), candidate)
+            is is_visible
+        )
         # Evidence that is large for any size overrides the resolution: flights without disturbances.
-        large = Refit(hypothesis, thresholds.WALD_OVERRIDE_NATS + 9.0, 8.0, 0.0)
+        large = Refit(hypothesis, gain=thresholds.WALD_OVERRIDE_NATS + 9.0, penalty=8.0, score=0.0)
         assert acceptance.is_significant(large, candidate)
 
 
@@ -433,7 +451,7 @@ def refit(id_: str, margin: float) -> Refit:
     """A refit with an effect of the catalogue."""
     candidate = typical_candidate(KINDS[id_])
     hypothesis = cast(Hypothesis, SimpleNamespace(candidates=(candidate,)))
-    return Refit(hypothesis, margin + 10.0, 10.0, 0.0, id_)
+    return Refit(hypothesis, gain=margin + 10.0, penalty=10.0, score=0.0, added_id=id_)
 
 
 def comparison(*, held_out: bool) -> ModelComparison:
@@ -480,7 +498,10 @@ def test_refit_that_makes_its_candidate_negligible_is_not_a_cause() -> None:
         values = {size: share * kind.typical[size]}
         hypothesis = cast(Hypothesis, SimpleNamespace(params=values, std={size: 1e-5}))
         assert is_neutral(hypothesis, candidate, KINDS) is is_absent
-        assert acceptance.is_significant(Refit(hypothesis, 289.0, 7.0, 0.0), candidate) is not is_absent
+        assert (
+            acceptance.is_significant(Refit(hypothesis, gain=289.0, penalty=7.0, score=0.0), candidate)
+            is not is_absent
+        )
     without_free_size = cast(Hypothesis, SimpleNamespace(params={}, std={}))
     assert not is_neutral(without_free_size, candidate, KINDS)
 
@@ -499,12 +520,12 @@ def test_round_restarts_from_a_better_estimate_of_the_base(nats: float, is_bette
     stub = SimpleNamespace(refit=lambda candidates, start, warm_start: estimate_without_play)
     round_refits = RoundRefits(
         cast(ModelComparison, stub),
-        Acceptance(cast(ModelComparison, stub), KINDS),
-        cast(Any, None),
-        0,
-        base,
-        [],
-        [Refit(absent, 289.0, 7.0, 0.0, "backlash.pitch")],
+        acceptance=Acceptance(cast(ModelComparison, stub), KINDS),
+        progress=cast(Any, None),
+        number=0,
+        base=base,
+        screened=[],
+        refits=[Refit(absent, gain=289.0, penalty=7.0, score=0.0, added_id="backlash.pitch")],
     )
     assert (round_refits.better_base() is estimate_without_play) is is_better
 

@@ -115,7 +115,7 @@ def test_the_flight_shows_whether_its_voltages_are_samples(
 ) -> None:
     held = compared(logged(at_loop_rate(), THINNING))
     screenings = [Screening(held.filtering_baseline.estimate)]
-    timed = with_likelier_advance(held, screenings, None)
+    timed = with_likelier_advance(held, screenings, loop_Hz=None)
     assert (timed is not None) is slower
     if timed is not None:
         assert timed.train[0].advance_rows == pytest.approx(0.45, abs=0.15)
@@ -127,7 +127,7 @@ def test_the_flight_shows_whether_its_voltages_are_samples(
 @pytest.mark.diagnosis
 def test_a_lag_of_the_rotors_is_no_advance() -> None:
     held = compared(thinned(at_loop_rate("rotor_lag=0.08"), THINNING))
-    assert with_likelier_advance(held, [Screening(held.filtering_baseline.estimate)], None) is None
+    assert with_likelier_advance(held, [Screening(held.filtering_baseline.estimate)], loop_Hz=None) is None
 
 
 @pytest.mark.diagnosis
@@ -151,7 +151,7 @@ def test_twin_and_predict_find_when_the_voltages_of_a_slow_log_act() -> None:
     """With the right rig, the advance is that of a sample, and the log's own rate has none."""
     rig = RIG.replace(thrust_gain=0.62, friction_travel=0.05)
     log = every(at_loop_rate(), THINNING)
-    (acting,), (note,) = acting_flights(MultibodyModel(), rig, [log], ["log"], None)
+    (acting,), (note,) = acting_flights(MultibodyModel(), rig, [log], ["log"], loop_Hz=None)
     assert note.startswith("the log is slower than the control loop")
     exact = with_acting_voltages(log, 0.45)
     logged_V, acting_V, exact_V = (

@@ -66,7 +66,10 @@ def test_lag_and_dead_time_add_up_with_their_covariance() -> None:
     problem = SimpleNamespace(names=(LAG, "thrust_gain", DELAY))
     std = dict(zip(problem.names, np.sqrt(np.diag(covariance)), strict=True))
     fit = cast(Any, SimpleNamespace(problem=problem, covariance=covariance, std=std))
-    parameters = {LAG: CauseParameter(0.11, 2e-3, "s"), DELAY: CauseParameter(0.02, 2e-3, "s")}
+    parameters = {
+        LAG: CauseParameter(0.11, std=2e-3, unit="s"),
+        DELAY: CauseParameter(0.02, std=2e-3, unit="s"),
+    }
     lag = family_number(fit, KINDS["rotor_lag_with_delay"], KINDS, parameters)
     assert lag is not None
     assert (lag.value, lag.unit) == (pytest.approx(0.13), "s")
@@ -351,7 +354,14 @@ def test_effect_that_is_too_small_is_listed_and_is_no_cause() -> None:
     assert diagnosis.verdict.negligible_effects == ()
     after, kinds = diagnosis.assessment.after, diagnosis.kinds
     small = describe_negligible_effects(diagnosis.search, {"rotor_lag": 0.11}, kinds, after.fit)
-    verdict = judge(diagnosis.search, diagnosis.assessment.residual_analysis, after, kinds, False, small)
+    verdict = judge(
+        diagnosis.search,
+        diagnosis.assessment.residual_analysis,
+        after,
+        kinds,
+        absent=False,
+        negligible_effects=small,
+    )
     assert verdict.label == "explained"
     assert verdict.causes == ()
     minor = replace(diagnosis, assessment=replace(diagnosis.assessment, verdict=verdict))
@@ -465,7 +475,13 @@ class Scores:
         """Candidates of typical size."""
         zeros = np.zeros(1)
         return [
-            ScoredCandidate(typical_candidate(kind), self.gains.get(kind.id, 0.0), zeros, zeros, 1)
+            ScoredCandidate(
+                typical_candidate(kind),
+                log_likelihood_gain=self.gains.get(kind.id, 0.0),
+                coefficients=zeros,
+                std=zeros,
+                tried=1,
+            )
             for kind in kinds
         ]
 
@@ -546,4 +562,4 @@ def test_effect_that_fitted_flights_do_not_show_is_tried_for_a_remainder(
 
 def test_remainder_search_skips_events_and_flights_too_short_to_test(monkeypatch: pytest.MonkeyPatch) -> None:
     assert explained(monkeypatch, {STEP: 90.0}, {STEP: 90.0}) is None
-    assert explained(monkeypatch, {DRAG: 20.0}, None) is None
+    assert explained(monkeypatch, {DRAG: 20.0}, held_out=None) is None

@@ -174,7 +174,7 @@ def test_zero_error_of_an_encoder_is_as_likely_as_a_reaction_torque() -> None:
     assert zero.log_likelihood > torque.log_likelihood - 1.0
 
 
-KINEMATICS = KinematicModel(20.0, 0.1, 2.0, 0.1)
+KINEMATICS = KinematicModel(20.0, correlation_time_s=0.1, rate_std=2.0, position_std=0.1)
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_exception_of_a_thread_is_raised_in_the_caller() -> None:
 def test_a_block_uses_the_given_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     with using_threads(3):
-        with using_threads(None):
+        with using_threads(threads=None):
             assert default_thread_count() == 3
         # Each item waits for the other two: with fewer threads they would never meet.
         meeting = threading.Barrier(3, timeout=PATIENCE_S)

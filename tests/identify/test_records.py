@@ -369,7 +369,7 @@ def test_rig_of_several_flights_has_their_mean_torque_and_no_zero() -> None:
     }
     theta = np.array([estimates[name] for name in problem.names])
     covariance = np.diag(np.full(len(theta), 0.001**2))
-    fit = Fit(problem, theta, covariance, covariance, (), (), (), 0.0, (), 1, 0.0, True)
+    fit = Fit(problem, theta, covariance, covariance, (), (), (), 0.0, (), 1, 0.0, converged=True)
     numbers = Identification(fit, (), (), (), ()).rig("found").numbers
     assert (numbers["friction_pitch"].value, numbers["friction_pitch"].tolerance) == (
         pytest.approx((0.02, 0.002))

@@ -236,7 +236,7 @@ def test_hard_dry_friction_of_the_light_axis_is_found_from_a_start_without_any()
 
 def iterate_at(problem: Problem, states: Floats, prior: Floats) -> tuple[ShootingCost, Iterate]:
     """Return a cost with unit variances and weights, and its iterate at these states and the start values."""
-    cost = ShootingCost(problem, False)
+    cost = ShootingCost(problem, robust=False)
     cost.variance, cost.weights, cost.state_prior = [np.ones(3)], [np.ones(len(states))], [prior]
     return cost, cost.evaluate(problem.parameter_vector.start, [states])
 
@@ -353,7 +353,7 @@ def test_initial_states_are_computed_once_for_each_parameter_vector() -> None:
     lag = catalogue()["rotor_lag"].make({"rotor_lag_s": 0.05})
     record = prepare(dry_flight(7), RIG, "flight 7")
     problem = Problem(MultibodyModel((lag,)), RIG, [record], free=["rotor_lag_s"], step_s=0.004)
-    cost = ShootingCost(problem, False)
+    cost = ShootingCost(problem, robust=False)
     slow, fast = np.array([0.2]), np.array([0.02])
     for theta in (slow, fast, fast, slow):
         (states,) = cost.initial_state_guess(theta)

@@ -114,35 +114,38 @@ def fly_and_steer(flight: Flight, program: LawProgram, seconds: float) -> None:
 
 
 def replayed(flown: Flown, program: LawProgram, board: str = "native") -> int:
-    """Replay every tick in which the law's voltages acted; how many there were."""
-    # The first that differs fails.
-    # Where the law logs a setpoint of its own, the board's comes from the signal that holds it.
-    axis_of_column = {f"board_{axis}_setpoint_rad": k for k, axis in enumerate(AXES)}
-    given = {
-        axis_of_column[name]: SIGNALS[k]
-        for k, name in enumerate(program.signal_names)
-        if name in axis_of_column
+    """Replay every tick in which the law's voltages acted, and return their number; a difference fails."""
+    # A law may log a setpoint of its own instead of the board's, which is then in a signal.
+    axis_of_signal = {f"board_{axis}_setpoint_rad": number for number, axis in enumerate(AXES)}
+    setpoint_channels = {
+        axis_of_signal[name]: channel
+        for name, channel in zip(program.signal_names, SIGNALS, strict=False)
+        if name in axis_of_signal
     }
     replay = native_law.LawReplay(flown.params, DUTY_FULL[board])
     assert replay.load(program.words, program.hash) == 0
     flying, count = flown.flying, 0
-    for k, row in enumerate(flown.raw.tolist()):
+    for tick, row in enumerate(flown.raw.tolist()):
         replay.measure([row[channel] for channel in COUNTS])
-        if not flying[k]:
+        if not flying[tick]:
             continue
-        before = flown.raw[k - 1]
-        if not flying[k - 1]:
-            assert replay.engage(int(before[Channel.FRONT]), int(before[Channel.BACK])), "not loaded"
+        if not flying[tick - 1]:
+            # The law takes over from the voltages of the tick before.
+            previous = flown.raw[tick - 1]
+            assert replay.engage(int(previous[Channel.FRONT]), int(previous[Channel.BACK])), "not loaded"
         setpoints = [row[channel] for channel in SETPOINTS]
-        setpoints[1] = 0
-        for axis, signal in given.items():
-            setpoints[axis] = row[signal]
-        acted = replay.update(setpoints)
-        assert acted is not None, f"the replay was taken over at tick {k}"
-        wanted = (row[Channel.FRONT], row[Channel.BACK])
-        assert acted == wanted, f"tick {k}, {count} after the first: replayed {acted}, flown {wanted}"
+        # The board gives the law a setpoint of pitch of 0; the logged one is the law's.
+        setpoints[AXES.index("pitch")] = 0
+        for axis, channel in setpoint_channels.items():
+            setpoints[axis] = row[channel]
+        replayed_volts = replay.update(setpoints)
+        assert replayed_volts is not None, f"the replay was taken over at tick {tick}"
+        flown_volts = (row[Channel.FRONT], row[Channel.BACK])
+        assert replayed_volts == flown_volts, (
+            f"tick {tick}, {count} after the first: replayed {replayed_volts}, flown {flown_volts}"
+        )
         setpoints_out, signals_out = replay.outputs()
-        assert list(setpoints_out) == [row[channel] for channel in SETPOINTS], k
-        assert list(signals_out) == [row[channel] for channel in SIGNALS], k
+        assert list(setpoints_out) == [row[channel] for channel in SETPOINTS], tick
+        assert list(signals_out) == [row[channel] for channel in SIGNALS], tick
         count += 1
     return count

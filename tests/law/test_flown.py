@@ -107,7 +107,7 @@ def stays_off(heli: heli_host.Heli, which: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", HOSTILE)
 def test_the_board_takes_over_from_a_hostile_law_and_holds_the_arm(name: str) -> None:
-    _, reasons = HOSTILE[name]
+    reasons = HOSTILE[name].reasons
     for rig in RIGS if LONG else [list(RIGS)[list(HOSTILE).index(name) % len(RIGS)]]:
         for seed in range(1, samples(31, 1) + 1):
             tried = tries(name, rig, seed, lambda heli: stays_off(heli, name))
@@ -174,7 +174,7 @@ def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> Non
         heli.take_off()
         heli.setpoint(elevation_deg=21.0)
         heli.wait(4.0)
-        engage(heli, HOSTILE["drift_down"][0].program)
+        engage(heli, HOSTILE["drift_down"].law.program)
         heli.wait_until(lambda sample: sample.elevation_deg < 9.5, 40.0)
         start = heli.latest.tick
         if end == "it lands":

@@ -62,7 +62,7 @@ def helpers(now: Any, state: Any, parameter: Any) -> Command:
 def shipped() -> dict[str, Law]:
     """Laws of the documents, and those that tests have."""
     laws = {path.stem: law_of(path) for path in FILES}
-    good = {name: HOSTILE[name][0] for name in ("small_bang_bang", "wind_up", "spins")}
+    good = {name: HOSTILE[name].law for name in ("small_bang_bang", "wind_up", "spins")}
     return {**laws, **good, "helpers": helpers}
 
 

@@ -60,7 +60,7 @@ def rows(names: Sequence[str], effects: Sequence[KnownEffect]) -> Iterator[tuple
     """Diagnose and judge each effect in each pair."""
     rig = load_rig(RIG)
     for pair in names:
-        reference = diagnosed(pair, None, hidden_pair(pair, None))
+        reference = diagnosed(pair, None, hidden_pair(pair, effect=None))
         for effect in effects:
             records = hidden_pair(pair, effect)
             result = diagnosed(pair, effect, records)

@@ -80,7 +80,7 @@ def test_numbers_are_said_with_as_many_digits_as_their_error_knows() -> None:
     assert format_estimate(0.0398, 0.0002, "1") == "3.980 ± 0.020 %"
     assert format_estimate(np.radians(1.5), np.radians(0.2), "rad") == "1.50 ± 0.20 deg"
     assert format_estimate(1234.5, 21.0, "N") == "1234 ± 21 N"
-    assert format_estimate(0.1, None, "s") == "0.1 s"
+    assert format_estimate(0.1, std=None, unit="s") == "0.1 s"
 
 
 def test_the_documents_table_is_todays() -> None:

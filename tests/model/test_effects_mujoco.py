@@ -46,15 +46,15 @@ def simulate_with_casadi(effect: str) -> Floats:
     return np.asarray(after).T[:, :3]
 
 
-def theirs(
+def flown_by_mujoco(
     change: Callable[[Any], None] | None = None,
     control: Control | None = None,
     at_tick: int = 0,
     course: ReferenceTrajectory | None = None,
 ) -> Floats:
-    """Fly MuJoCo's rig with its description changed, with thrusts that depend on its motion, or with a course
-    of the thrusts: at so many seconds after a tick.
-    """
+    """Fly MuJoCo's rig, and return its angles, (ticks, 3)."""
+    # `change` changes its description at `at_tick`. `control` makes the thrusts depend on its motion.
+    # `course` gives the thrusts at a time after a tick [s].
     model = mujoco_rig(RIG)
     data = mujoco.MjData(model)
     address = [model.joint(name).qposadr[0] for name in JOINTS]
@@ -122,32 +122,32 @@ def push_wheel(model: Any, data: Any, momentum_Nms: float, spin_up_Nm: float = 0
 
 def agree(effect: str, witness: Floats, within_rad: float = 1e-6) -> None:
     mine = simulate_with_casadi(effect)
-    assert np.abs(mine - theirs()).max() > 1e-3, "the effect does nothing here"
+    assert np.abs(mine - flown_by_mujoco()).max() > 1e-3, "the effect does nothing here"
     np.testing.assert_allclose(mine, witness, atol=within_rad)
 
 
 def test_without_effects_both_fly_alike() -> None:
-    np.testing.assert_allclose(simulate_with_casadi("thrust_asymmetry=0"), theirs(), atol=1e-6)
+    np.testing.assert_allclose(simulate_with_casadi("thrust_asymmetry=0"), flown_by_mujoco(), atol=1e-6)
 
 
 def test_asymmetry_is_one_rotor_stronger_and_one_weaker() -> None:
-    agree("thrust_asymmetry=0.04", theirs(control=lambda model, data, F: F * [1.04, 0.96]))
+    agree("thrust_asymmetry=0.04", flown_by_mujoco(control=lambda model, data, F: F * [1.04, 0.96]))
 
 
 def test_a_speed_that_lags_gives_its_square_as_thrust() -> None:
     speed_V, gain = lagged(voltages_V()), RIG["thrust_gain"].value
-    agree("rotor_speed_lag=0.1", theirs(course=lambda tick, s: gain * speed_V(tick, s) ** 2 / 4.0))
+    agree("rotor_speed_lag=0.1", flown_by_mujoco(course=lambda tick, s: gain * speed_V(tick, s) ** 2 / 4.0))
     above_V, dead_V = lagged(voltages_V()), RIG["dead_zone"].value
     agree(
         "rotor_speed_lag=s:0.1,begins:1",
-        theirs(course=lambda tick, s: gain * np.maximum(above_V(tick, s) - dead_V, 0.0) ** 2),
+        flown_by_mujoco(course=lambda tick, s: gain * np.maximum(above_V(tick, s) - dead_V, 0.0) ** 2),
     )
 
 
 def test_a_lag_with_dead_time_is_the_lag_of_what_was_asked_for_a_while_ago() -> None:
     asked_V = np.vstack((np.zeros((20, 2)), voltages_V()))[:TICKS]
     asked_N = RIG["thrust_gain"].value * np.maximum(asked_V - RIG["dead_zone"].value, 0.0)
-    agree("rotor_lag_with_delay=lag_s:0.1,delay_s:0.02", theirs(course=lagged(asked_N)))
+    agree("rotor_lag_with_delay=lag_s:0.1,delay_s:0.02", flown_by_mujoco(course=lagged(asked_N)))
 
 
 def test_a_supply_that_fades_lowers_voltages_and_not_the_dead_zone() -> None:
@@ -157,20 +157,20 @@ def test_a_supply_that_fades_lowers_voltages_and_not_the_dead_zone() -> None:
         return thrust_N
 
     voltages = voltages_V()
-    agree("supply_fade=0.01", theirs(course=course))
+    agree("supply_fade=0.01", flown_by_mujoco(course=course))
 
 
 def test_inflow_is_thrust_lost_to_the_speed_of_the_rotors_site_along_its_own_axis() -> None:
     agree(
         "inflow_damping=0.2",
-        theirs(control=lambda model, data, F: F * (1 - 0.2 * climb_m_s(model, data))),
+        flown_by_mujoco(control=lambda model, data, F: F * (1 - 0.2 * climb_m_s(model, data))),
     )
 
 
 def test_inflow_may_cost_the_same_at_any_thrust() -> None:
     agree(
         "inflow_damping=s_per_m:0.1,loaded:0",
-        theirs(control=lambda model, data, F: F - 0.1 * climb_m_s(model, data)),
+        flown_by_mujoco(control=lambda model, data, F: F - 0.1 * climb_m_s(model, data)),
     )
 
 
@@ -180,7 +180,7 @@ def test_ground_effect_goes_by_the_height_of_each_rotors_site() -> None:
         gained: Floats = thrust_N * (1 + 0.3 * np.exp(-(height_m + 0.25) / 0.15))
         return gained
 
-    agree("ground_effect=0.3", theirs(control=control))
+    agree("ground_effect=0.3", flown_by_mujoco(control=control))
 
 
 def test_tilt_is_gravity_in_another_direction() -> None:
@@ -191,7 +191,7 @@ def test_tilt_is_gravity_in_another_direction() -> None:
         up = np.array([*(lean * np.sin(size) / size), np.cos(size)])
         model.opt.gravity[:] = -RIG["g"].value * up
 
-    agree("axis_tilt=x_rad:0.05,y_rad:-0.03", theirs(change))
+    agree("axis_tilt=x_rad:0.05,y_rad:-0.03", flown_by_mujoco(change))
 
 
 @pytest.mark.parametrize("back", [0.04, -0.04], ids=["same_sense", "opposite_sense"])
@@ -199,7 +199,7 @@ def test_reaction_torque_is_an_actuators_moment_about_its_thrust(back: float) ->
     def change(model: Any) -> None:
         model.actuator_gear[:, 5] = (0.04, back)
 
-    agree(f"rotor_reaction_torque=front_m:0.04,back_m:{back}", theirs(change))
+    agree(f"rotor_reaction_torque=front_m:0.04,back_m:{back}", flown_by_mujoco(change))
 
 
 def test_edgewise_flow_goes_by_the_speed_of_the_pitch_axis_along_the_short_arm() -> None:
@@ -208,7 +208,7 @@ def test_edgewise_flow_goes_by_the_speed_of_the_pitch_axis_along_the_short_arm()
         moved: Floats = thrust_N * (1 + 0.1 * along_m_s * np.array([-1.0, 1.0]))
         return moved
 
-    agree("edgewise_flow=0.1", theirs(control=control))
+    agree("edgewise_flow=0.1", flown_by_mujoco(control=control))
 
 
 def test_gyroscopic_torque_is_that_of_a_spinning_wheel_on_the_short_arm() -> None:
@@ -216,7 +216,7 @@ def test_gyroscopic_torque_is_that_of_a_spinning_wheel_on_the_short_arm() -> Non
         push_wheel(model, data, 0.05 * thrust_N.sum())
         return thrust_N
 
-    agree("gyroscopic_torque=0.05", theirs(control=control))
+    agree("gyroscopic_torque=0.05", flown_by_mujoco(control=control))
 
 
 @pytest.mark.parametrize("spin_up", [0.0, 1.0])
@@ -234,7 +234,7 @@ def test_a_flywheel_is_a_wheel_whose_speed_lags(spin_up: float) -> None:
         push_wheel(model, data, 0.02 * sums_V[1], spin_up * 0.02 * (sums_V[0] - sums_V[1]) / T_s)
         return thrust_N
 
-    agree(f"flywheel=Nms_per_V:0.02,spin_up:{spin_up}", theirs(control=control, course=course))
+    agree(f"flywheel=Nms_per_V:0.02,spin_up:{spin_up}", flown_by_mujoco(control=control, course=course))
 
 
 @pytest.mark.parametrize("axis", JOINTS)
@@ -244,7 +244,7 @@ def test_drag_is_a_torque_that_goes_with_the_square_of_a_joints_speed(axis: str)
         data.qfrc_applied[place] = -0.2 * data.qvel[place] * abs(data.qvel[place])
         return thrust_N
 
-    agree(f"{axis}_drag_quadratic=0.2", theirs(control=control))
+    agree(f"{axis}_drag_quadratic=0.2", flown_by_mujoco(control=control))
 
 
 @pytest.mark.parametrize("axis", ["elevation", "travel"])
@@ -254,7 +254,7 @@ def test_a_cable_is_a_joints_spring(axis: str) -> None:
         model.jnt_stiffness[joint.id] = 0.1
         model.qpos_spring[joint.qposadr[0]] = 0.3
 
-    agree(f"cable_spring.{axis}=Nm_per_rad:0.1,rest_rad:0.3", theirs(change))
+    agree(f"cable_spring.{axis}=Nm_per_rad:0.1,rest_rad:0.3", flown_by_mujoco(change))
 
 
 @pytest.mark.parametrize("axis", JOINTS)
@@ -263,9 +263,9 @@ def test_dry_friction_is_mujocos_friction_loss(axis: str) -> None:
         model.dof_frictionloss[model.joint(axis).dofadr[0]] = 0.02
 
     # MuJoCo's friction gives way a little like a spring where it should hold.
-    witness = theirs(change)
+    witness = flown_by_mujoco(change)
     error_rad = np.abs(simulate_with_casadi(f"coulomb_friction.{axis}=0.02") - witness).max()
-    assert error_rad < 0.003 * np.abs(theirs() - witness).max()
+    assert error_rad < 0.003 * np.abs(flown_by_mujoco() - witness).max()
 
 
 def test_a_counterweight_that_slips_is_one_that_mujoco_moves() -> None:
@@ -274,4 +274,6 @@ def test_a_counterweight_that_slips_is_one_that_mujoco_moves() -> None:
 
     # Ours takes some 20 ms to slip.
     half = TICKS // 2
-    agree(f"counterweight_shift=0.005@{1e-3 * half:g}", theirs(change, at_tick=half), within_rad=2e-5)
+    agree(
+        f"counterweight_shift=0.005@{1e-3 * half:g}", flown_by_mujoco(change, at_tick=half), within_rad=2e-5
+    )

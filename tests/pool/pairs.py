@@ -181,7 +181,15 @@ def _diagnosis(label: str, hypothesis: Hypothesis) -> RigDiagnosis:
             from_flights = without_prior(float(estimate.theta[i]), float(std[i]), priors[item.name])
             if from_flights is not None:
                 numbers[item.name] = from_flights
-    return RigDiagnosis(label, "makki2024", "multibody", numbers, priors, {_LAG: 1.0}, ())
+    return RigDiagnosis(
+        label,
+        rig="makki2024",
+        model="multibody",
+        parameters=numbers,
+        priors=priors,
+        causes={_LAG: 1.0},
+        undetectable=(),
+    )
 
 
 def _errors(run: FreeRun, record: Record) -> dict[str, Any]:

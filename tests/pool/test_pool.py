@@ -78,7 +78,7 @@ def test_the_prior_is_taken_out_of_what_machines_share(tmp_path: Path) -> None:
 
 
 def test_a_number_that_flights_do_not_inform_is_left_out() -> None:
-    prior = ParameterEstimate(1.0, 0.1, "1")
+    prior = ParameterEstimate(1.0, std=0.1, unit="1")
     assert without_prior(1.0, 0.0999, prior) is None
     assert without_prior(1.01, 0.05, prior) is not None
 

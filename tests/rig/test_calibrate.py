@@ -47,7 +47,10 @@ pytestmark = pytest.mark.medium
 
 PAPER = "makki2024"
 RIG = load_rig(PAPER)
-RISING = {PAPER: PulseLimits(0.88, 1.3, 20.0), "quanser-course": PulseLimits(0.5, 1.0, 20.0)}
+RISING = {
+    PAPER: PulseLimits(0.88, max_V=1.3, max_angle_deg=20.0),
+    "quanser-course": PulseLimits(0.5, max_V=1.0, max_angle_deg=20.0),
+}
 WRONG = Wires((-1, -1, -1), (-1, -1))
 
 

@@ -81,7 +81,9 @@ def test_the_pitch_loop_alone_is_stable_up_to_its_gain_margin(lagging: LinearPla
     most = margins(lagging, LAW)["pitch"].gain_up
 
     def slowest(factor: float) -> float:
-        closed = loops.tilt_closed(lagging, scaled(LAW.pitch, factor), Pid(0.0, 0.0, 0.0, 3.0))
+        closed = loops.tilt_closed(
+            lagging, scaled(LAW.pitch, factor), Pid(0.0, ki=0.0, kd=0.0, filter_Hz=3.0)
+        )
         growth = np.sort(np.linalg.eigvals(closed).real)
         # Travel itself is an integrator, and so is the integral of its error, which nothing uses here.
         return float(growth[growth < -1e-6].max() if growth.max() < 1e-6 else growth.max())
@@ -202,7 +204,9 @@ def test_an_effect_that_is_linear_about_hover_is_in_the_plant() -> None:
 
 def test_what_holds_a_tilt_holds_it(lagging: LinearPlant) -> None:
     hold = -lagging.tilt_A[2, 0] / lagging.pitch_gain
-    closed = loops.tilt_closed(lagging, Pid(0.0, 0.0, 0.0, 16.0), Pid(0.0, 0.0, 0.0, 3.0), hold)
+    closed = loops.tilt_closed(
+        lagging, Pid(0.0, ki=0.0, kd=0.0, filter_Hz=16.0), Pid(0.0, ki=0.0, kd=0.0, filter_Hz=3.0), hold
+    )
     tilt, volts = np.zeros(11), np.zeros(11)
     tilt[0] = 1.0
     volts[4] = -lagging.tilt_B[4] / lagging.tilt_A[4, 4] * hold

@@ -10,7 +10,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -118,7 +118,6 @@ def cases_of(seeds: range, repeats: int, *, middle_sizes: bool) -> list[Case]:
 
 def fly_healthy(rig: RigWithTwin, count: int, duration_s: float = 60.0) -> dict[str, Any]:
     """Fly an unchanged rig `count` times, and return the entry of the rig in the results."""
-    tail = rig.twin.calibration.tail
     first_seed = _FLIGHT_SEEDS_PER_RIG * rig.seed + _FIRST_HEALTHY_SEED
     healthy = []
     for flight in random_flights(rig.model, rig.rig, first_seed, count, duration_s):
@@ -132,19 +131,7 @@ def fly_healthy(rig: RigWithTwin, count: int, duration_s: float = 60.0) -> dict[
                 "maxima": [round(maximum_nats, 2) for maximum_nats in segment_maxima(report.evidence_nats)],
             }
         )
-    return {
-        # In the order of the arguments of `Tail`.
-        "tail": [
-            tail.level_nats,
-            tail.per_hour,
-            tail.scale_nats,
-            tail.excesses,
-            tail.shape,
-            tail.healthy_s,
-        ],
-        "healthy": healthy,
-        "changed": [],
-    }
+    return {"tail": asdict(rig.twin.calibration.tail), "healthy": healthy, "changed": []}
 
 
 def fly_changed(rig: RigWithTwin, name: str, size: float, flight_seed: int) -> dict[str, Any]:
@@ -217,16 +204,16 @@ def healthy_lines(results: Results) -> list[str]:
         alarms = 0
         chances = []  # of a false alarm in each flight
         for rig in results.values():
-            calibration = Calibration(DEFAULT_DISTURBANCES, Tail(*rig["tail"]))
+            calibration = Calibration(DEFAULT_DISTURBANCES, Tail(**rig["tail"]))
             threshold_nats = calibration.threshold_nats(interval_h)
             for entry in rig["healthy"]:
                 chances.append(1.0 - math.exp(-entry["free_s"] / 3600.0 / interval_h))
                 alarms += entry["max_evidence_nats"] > threshold_nats
         mean_chance = float(np.mean(chances)) if chances else 0.0
-        p = float(binom.sf(alarms - 1, len(chances), mean_chance)) if chances else 1.0
+        probability = float(binom.sf(alarms - 1, len(chances), mean_chance)) if chances else 1.0
         lines.append(
             f"stated once in {interval_h:g} h: {alarms} flights with an alarm, {sum(chances):.1f} expected, "
-            f"probability of as many or more {p:.2f}"
+            f"probability of as many or more {probability:.2f}"
         )
     return lines
 

@@ -47,9 +47,9 @@ class Loss:
 
 
 LOSSES: Final = (
-    Loss("supply -5 %", 0.05, 0.05, frozenset({"supply_step", "thrust_fade"})),
-    Loss("front -8 %", 0.08, 0.0, frozenset({"thrust_step.front"})),
-    Loss("back -8 %", 0.0, 0.08, frozenset({"thrust_step.back"})),
+    Loss("supply -5 %", front=0.05, back=0.05, right_names=frozenset({"supply_step", "thrust_fade"})),
+    Loss("front -8 %", front=0.08, back=0.0, right_names=frozenset({"thrust_step.front"})),
+    Loss("back -8 %", front=0.0, back=0.08, right_names=frozenset({"thrust_step.back"})),
 )
 
 

@@ -90,7 +90,7 @@ def reported_events(
     # Both rotors get 1 V. The most likely change is `change` of the `size`. `shown_nats` gets the evidence
     # that is shown after each kind of event.
     remaining_evidence = iter(evidence_nats)
-    candidate = ChangeCandidate(change, 0, size, 0.01, THRESHOLD_nats)
+    candidate = ChangeCandidate(change, onset_block=0, size=size, std=0.01, log_evidence=THRESHOLD_nats)
     monkeypatch.setattr(twin_module, "CALIBRATION_s", calibration_s)
     monkeypatch.setattr(twin_module, "KalmanFilter", _StillFilter)
     monkeypatch.setattr(twin_module, "start_state", lambda *_: np.zeros(6))

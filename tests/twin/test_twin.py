@@ -324,7 +324,9 @@ def test_a_twin_file_that_was_learned_from_a_flight_can_be_used(
     assert run(["fly", "hover", "--sil", "--speed", "max", "--log", str(log)]) == 0
     # Drawing evidence takes seconds, so each draw has the same invented evidence of a minute.
     evidence = [(0.04 * number, 0.001 * (number % 977)) for number in range(1500)]
-    monkeypatch.setattr(learn, "evidence", lambda *_: FollowedFlight(evidence, np.ones((1500, 3)), ()))
+    monkeypatch.setattr(
+        learn, "evidence", lambda *_: FollowedFlight(evidence, innovations=np.ones((1500, 3)), kicks_s=())
+    )
     monkeypatch.setattr(learn, "drawn_evidence", lambda *_: 12 * [evidence])
     assert run(["twin", "--rig", "makki2024", "--nominal", str(log), "--learn", str(twin_file)]) == 0
     printed = capsys.readouterr().out

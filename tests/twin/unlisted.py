@@ -58,7 +58,7 @@ def parts_of(case: Case) -> list[str]:
     )
     shares = error_shares(result, Forecaster(judged, model_of, nominal), lambda: fitted)
     true_model = MultibodyModel(tuple(effect for effect in effects if not effect.noise_inputs))
-    true_errors = at_horizon(forecast_flights(true_model, true.rig, judged), None)
+    true_errors = at_horizon(forecast_flights(true_model, true.rig, judged), baseline=None)
     lines = [f"{case}: {result.label}, curves {', '.join(shares.curves) or 'none'}"]
     for axis in AXES:
         of_axis = shares.axes[axis]

@@ -73,7 +73,7 @@ class PublishedCase(DisturbedCase):
     validation_s: tuple[float, ...] = (20.0,)
     attempt: int = 0
     """Number of the draw of routes and controllers, after a flight that left the safe range of angles."""
-    draw: Draw = Draw(0, 0, "nothing")  # Where it comes from: split, place and kind
+    draw: Draw = Draw(0, number=0, kind="nothing")  # Where it comes from: split, place and kind
 
     @property
     def durations_s(self) -> tuple[float, ...]:

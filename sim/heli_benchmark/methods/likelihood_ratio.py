@@ -49,7 +49,7 @@ def identified_and_changed(case: BenchmarkCase) -> tuple[Rig, ChangeCandidate | 
     labels = [f"training {i}" for i in range(len(case.training))]
     rig = identify(MultibodyModel(), case.rig, case.training, labels=labels, threads=1).rig("identified")
     disturbances, uncertainty = learn_rig(MultibodyModel(), rig, case.training, labels)
-    tail = Tail(_ALARM_NATS, 1e-9, 1.0, 1000)
+    tail = Tail(_ALARM_NATS, per_hour=1e-9, scale_nats=1.0, excesses=1000)
     calibration = Calibration(disturbances, tail, uncertainty=uncertainty)
     best: ChangeCandidate | None = None
     for flight in (*case.training, *case.validation):

@@ -355,7 +355,7 @@ def test_invalid_scores_of_a_case_are_one_line(splits: tuple[Split, Split, Split
 
 SIZE = 0.5
 FLIGHT = flown(SIZE)
-CASE = BenchmarkCase("case", RIG, (FLIGHT,), (FLIGHT,), METHOD_CAUSES)
+CASE = BenchmarkCase("case", rig=RIG, training=(FLIGHT,), validation=(FLIGHT,), causes=METHOD_CAUSES)
 TRUTH: dict[str, Any] = {
     "causes": {SPRING: {"model_parameters": {STIFFNESS: SIZE}}},
     "unlisted": {},
@@ -432,7 +432,7 @@ def test_the_true_model_of_a_quadratic_thrust_has_the_thrust_of_the_generator() 
         },
     )
     causes = Causes(METHOD_CAUSES.base_rates, {"thrust_quadratic": {share: "1", pivot: "V"}})
-    case = BenchmarkCase("case", RIG, (FLIGHT,), (FLIGHT,), causes)
+    case = BenchmarkCase("case", rig=RIG, training=(FLIGHT,), validation=(FLIGHT,), causes=causes)
     assert prediction_ratio(case, answer, ["thrust_quadratic"], reference) == pytest.approx(1.0)
 
 

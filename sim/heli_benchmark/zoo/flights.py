@@ -34,11 +34,11 @@ class FlightRecipe:
 
 
 RECIPES: Final = (
-    FlightRecipe("makki2024", _FLIGHT_CODE, 501, 0.07),
-    FlightRecipe("quanser-course", "cascade", 502, 0.06),
-    FlightRecipe("makki2024", "state_feedback", 503, 0.09),
-    FlightRecipe("makki2024", _FLIGHT_CODE, 504, 0.0),
-    FlightRecipe("quanser-course", "soft", 505, 0.1),
+    FlightRecipe("makki2024", controller=_FLIGHT_CODE, seed=501, rotor_lag_s=0.07),
+    FlightRecipe("quanser-course", controller="cascade", seed=502, rotor_lag_s=0.06),
+    FlightRecipe("makki2024", controller="state_feedback", seed=503, rotor_lag_s=0.09),
+    FlightRecipe("makki2024", controller=_FLIGHT_CODE, seed=504, rotor_lag_s=0.0),
+    FlightRecipe("quanser-course", controller="soft", seed=505, rotor_lag_s=0.1),
 )
 _DURATION_S: Final = 42.0
 

@@ -128,7 +128,7 @@ def identify(
         if loop_rate_Hz is None:
             # The identified rig shows whether the voltages of a slow log are samples of those that acted.
             estimated = with_equations(identification.rig("estimated"))
-            timed_records = with_likely_advance(estimated.model, estimated.rig, records, None)
+            timed_records = with_likely_advance(estimated.model, estimated.rig, records, loop_Hz=None)
             if any(record.advance_rows for record in timed_records):
                 records, identification = timed_records, identified(timed_records)
         page: Path | None = None

@@ -115,7 +115,14 @@ def models(rig: RigName = DEFAULT_RIG, seed: SeedOption = 1, json: JsonOption = 
     data_on_stdout(json)
     plant = _flyable_plant(rig, _MODEL)
     with WorkBar() as bar:
-        sine_flight = fly_plan("sine", plant, "sine", None, seed, lambda done: bar.show("flying", 0.5 * done))
+        sine_flight = fly_plan(
+            "sine",
+            plant,
+            "sine",
+            gains=None,
+            seed=seed,
+            on_progress=lambda done: bar.show("flying", 0.5 * done),
+        )
         bar.show("predicting", 0.5)
         errors_by_model = model_errors(
             [model_named(name) for name in sorted(MODELS)], plant.rig, sine_flight.flight

@@ -154,9 +154,9 @@ def _design_and_test(task: _Task, bar: WorkBar) -> _Result:
     loop_effects = loop_effects_of(task.effects)
     design = find_gains(
         task.rig,
-        None,
-        task.sensitivity,
-        lambda stage: bar.show(stage, 0.05 if stage.startswith("elevation") else 0.2),
+        spread=None,
+        sensitivity=task.sensitivity,
+        on_progress=lambda stage: bar.show(stage, 0.05 if stage.startswith("elevation") else 0.2),
         model=MODELS[task.model_name],
         loop_effects=loop_effects,
     )

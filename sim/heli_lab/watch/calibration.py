@@ -122,7 +122,7 @@ class _PosteriorTails(NamedTuple):
     weights: Floats
 
 
-IDEAL: Final = Tail(4.29, 145.0, 1.08, 58)
+IDEAL: Final = Tail(4.29, per_hour=145.0, scale_nats=1.08, excesses=58)
 """Tail of a twin with the true parameters, from 24 simulated flights of the rig makki2024 in the disturbances
 of a quiet room. No trained twin has a lower threshold: nominal flights may show less by chance. Without this
 bound, 63 rigs had 19 flights with an alarm where 9.9 were accepted; with a level 1 nat higher, 7."""
@@ -285,9 +285,11 @@ def _parse_calibration(data: Mapping[str, Any], name: str) -> Calibration:
     return Calibration(
         _parse_disturbances(_table_of(data, "disturbances", name), name),
         _parse_tail(_table_of(data, "tail", name), name),
-        str(data.get("source", "")),
-        _parse_uncertainty(_table_of(data, "parameters", name), name) if "parameters" in data else EXACT,
-        _parse_piece_variance(_table_of(data, "innovations", name), name)
+        source=str(data.get("source", "")),
+        uncertainty=_parse_uncertainty(_table_of(data, "parameters", name), name)
+        if "parameters" in data
+        else EXACT,
+        piece_variance=_parse_piece_variance(_table_of(data, "innovations", name), name)
         if "innovations" in data
         else STATED,
     )
@@ -342,10 +344,10 @@ def _parse_uncertainty(table: Mapping[str, Any], name: str) -> ParameterUncertai
     (supply_std,) = _number_array([table.get("supply_std")], 1, f"{name}: parameters.supply_std")
     return ParameterUncertainty(
         tuple(names),
-        np.array(covariance, float).reshape(count, count),
-        float(supply_std),
-        _number_array(table.get("low_V"), _ROTORS, f"{name}: parameters.low_V"),
-        _number_array(table.get("high_V"), _ROTORS, f"{name}: parameters.high_V"),
+        covariance=np.array(covariance, float).reshape(count, count),
+        supply_std=float(supply_std),
+        low_V=_number_array(table.get("low_V"), _ROTORS, f"{name}: parameters.low_V"),
+        high_V=_number_array(table.get("high_V"), _ROTORS, f"{name}: parameters.high_V"),
     )
 
 

@@ -172,7 +172,7 @@ def _unknown_error(
     result: Diagnosis, forecast: Forecaster, rig: Rig, with_causes: Sequence[Forecasts]
 ) -> _UnknownError:
     """Return what the curves predict of the error with the causes, and what exceeds the disturbances."""
-    error_deg2 = _mean_square_deg2(at_horizon(with_causes, None))
+    error_deg2 = _mean_square_deg2(at_horizon(with_causes, baseline=None))
     expected_deg2 = _expected_deg2(with_causes)
     is_curve_confirmed = np.zeros(len(AXES), bool)
     predicted_deg2 = np.zeros(len(AXES))

@@ -198,7 +198,7 @@ _DAY_STD: Final = 0.1
 """Standard deviation of the logarithm of the size of a day's innovations. By judgement: half a minute of
 flight leaves it open to 0.05, and days differ. Each draw is a day. Larger: weak changes stay hidden.
 Smaller: a day with slightly larger gusts raises alarms."""
-NO_ALARM: Final = Tail(np.inf, 0.0, 0.0, 1)
+NO_ALARM: Final = Tail(np.inf, per_hour=0.0, scale_nats=0.0, excesses=1)
 """Tail of a twin that raises no alarm."""
 
 History = list[tuple[float, float]]

@@ -294,7 +294,7 @@ def _most_harmful(
         return ids[0]
 
     def error_without(id_: str) -> float:
-        errors = at_horizon(forecast_with([other for other in ids if other != id_]), None)
+        errors = at_horizon(forecast_with([other for other in ids if other != id_]), baseline=None)
         return errors.with_causes[axis]
 
     return min(ids, key=error_without)
@@ -331,7 +331,7 @@ def _highest_rate_rad_s(record: Record, axis: int) -> float:
 
 def forecast_lines(forecasts: Sequence[Forecasts]) -> tuple[str, ...]:
     """State the forecast error of each axis at `MAIN_HORIZON_s`, and the range in which it was measured."""
-    errors = at_horizon(forecasts, None)
+    errors = at_horizon(forecasts, baseline=None)
     labels = ", ".join(flight.label for flight in forecasts)
     low_V = np.min([flight.range_V[0] for flight in forecasts], axis=0)
     high_V = np.max([flight.range_V[1] for flight in forecasts], axis=0)

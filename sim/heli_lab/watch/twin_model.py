@@ -94,11 +94,11 @@ def _catalogue_changes() -> tuple[Change, ...]:
 
 _SUPPLY_STEP: Final = Change(
     "supply_step",
-    (SUPPLY,),
-    (0.1,),
-    "1",
-    "the supply lost {} of its voltage",
-    "the supply gained {} of its voltage",
+    parameters=(SUPPLY,),
+    sizes=(0.1,),
+    unit="1",
+    positive_text="the supply lost {} of its voltage",
+    negative_text="the supply gained {} of its voltage",
 )
 SCALE_CHANGE_STD: Final = 0.03
 """Standard deviation of the change of an encoder's scale in flight, as a share: a coupling that slips, or
@@ -112,11 +112,11 @@ one edge of two, or a disc with half the lines."""
 _ENCODER_SCALES: Final = tuple(
     Change(
         f"encoder_scale.{axis}",
-        (parameter,),
-        (SCALE_CHANGE_STD,),
-        "1",
-        f"the {axis} encoder counts {{}} more than its counts per turn",
-        f"the {axis} encoder counts {{}} fewer than its counts per turn",
+        parameters=(parameter,),
+        sizes=(SCALE_CHANGE_STD,),
+        unit="1",
+        positive_text=f"the {axis} encoder counts {{}} more than its counts per turn",
+        negative_text=f"the {axis} encoder counts {{}} fewer than its counts per turn",
         initial_sizes=(_WRONG_SCALE_STD,),
     )
     for parameter, axis in SCALES.items()

@@ -380,7 +380,7 @@ def _priors(model: Model, rig: Rig) -> dict[str, _Prior]:
     """Prior of each estimated parameter of a model: of the rig, of the effects, and then a constant torque
     about each axis.
     """
-    free = free_parameters(model, rig, None, {})
+    free = free_parameters(model, rig, free=None, priors={})
     parameters = {
         parameter.quantity: _Prior(parameter.prior.mean, parameter.prior.std)
         for parameter in free

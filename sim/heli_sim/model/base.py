@@ -223,7 +223,7 @@ class Model(ABC):
 
         `x`, `u`, `p` and `time_s` are those of `operands`.
         """
-        return self._torque_operands_and_state_rates(x, u, p, time_s, None)[0]
+        return self._torque_operands_and_state_rates(x, u, p, time_s, locked=None)[0]
 
     def _torque_operands_and_state_rates(
         self, x: ca.SX, u: ca.SX, p: ca.SX, time_s: ca.SX | None, locked: ca.SX | None

@@ -40,7 +40,7 @@ class Choice:
 def choose(board: str, elf: str = "") -> Choice:
     """Choose the board that is flown."""
     if board == NATIVE:
-        return Choice(NATIVE, "", False, "native board")
+        return Choice(NATIVE, "", named=False, text="native board")
     from heli_sim.due.firmware import check_firmware, find_firmware
 
     try:

@@ -245,11 +245,11 @@ class TcpEndpoint(Endpoint):
 
     def _note_dtr_rise(self) -> None:
         """Record that DTR rises, because a host has connected."""
-        self._changes.append(LineChange(True))
+        self._changes.append(LineChange(dtr=True))
 
     def _note_dtr_fall(self) -> None:
         """Record that DTR falls, because the host has disconnected."""
-        self._changes.append(LineChange(False))
+        self._changes.append(LineChange(dtr=False))
 
 
 def _address_text(peer: socket.socket) -> str:

@@ -186,7 +186,12 @@ class WorkerProcess:
         if reply.endswith(b"\n"):
             content = json.loads(reply)
             return JobResult(
-                case.name, key, content["row"], content["detail"], content["failure"], content["cpu_s"]
+                case.name,
+                key,
+                row=content["row"],
+                detail=content["detail"],
+                failure=content["failure"],
+                cpu_s=content["cpu_s"],
             )
         # The process has ended by itself, so that closing it only collects its status.
         process.wait()

@@ -226,7 +226,9 @@ class Marking:
         """Return the score of the board's own law along the same plan; each plan and seed is flown once."""
         key = plan.text, seed
         if key not in self._references:
-            self._references[key] = self._fly_submission(Submission("reference"), plan, seed, None)
+            self._references[key] = self._fly_submission(
+                Submission("reference"), plan, seed, output_folder=None
+            )
         return self._references[key]
 
     def _fly_submission(

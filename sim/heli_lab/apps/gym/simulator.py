@@ -304,7 +304,7 @@ class BoardInLockstep(Simulator):
             heli.voltages(*self._clip_to_limits(volts_V), valid_s=ticks * 2e-3)
             heli.wait(ticks * 1e-3)
         except HeliError as error:
-            return StepResult(self._angles_rad(), False, error.cause)
+            return StepResult(self._angles_rad(), flying=False, reason=error.cause)
         return self._measured_result()
 
     @override

@@ -62,7 +62,7 @@ _ELEVATION_FILTER_Hz, _PITCH_FILTER_Hz, _TRAVEL_FILTER_Hz = 6.0, 16.0, 3.0
 has the largest gain, pitch the fastest loop."""
 _TAKE_OFF_TIME_s, _STEP_TIME_s = 8.0, 10.0
 """Length of the simulated take-off and of the simulated travel step."""
-_UNIT_GAIN, _NO_GAIN = Pid(1.0, 0.0, 0.0, 1.0), Pid(0.0, 0.0, 0.0, 1.0)
+_UNIT_GAIN, _NO_GAIN = Pid(1.0, ki=0.0, kd=0.0, filter_Hz=1.0), Pid(0.0, ki=0.0, kd=0.0, filter_Hz=1.0)
 
 
 @dataclass(frozen=True)
