@@ -269,11 +269,7 @@ def answer_case(settings: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, 
 
 
 def run_on_cluster(
-    scheduler: str,
-    method: MethodAddress,
-    cases: Sequence[Path],
-    resources: Path | None,
-    limits: RunLimits,
+    scheduler: str, method: MethodAddress, cases: Sequence[Path], resources: Path | None, limits: RunLimits
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Run a method on cases, and yield the name and the result of each case that ends."""
     # `method`: File and function, which every worker must see under the same path.

@@ -98,10 +98,7 @@ _SAME: Mapping[str, Callable[[ParameterValues], dict[str, float]]] = {
     "supply_sag": lambda of: {"per_V": of["size"] / 2.0},
     "ground_effect": _ground_effect_parameters,
     "coulomb_friction": lambda of: {"Nm": of["size"]},
-    **dict.fromkeys(
-        ("pitch_drag_quadratic", "travel_drag_quadratic"),
-        lambda of: {"Nms2": of["size"]},
-    ),
+    **dict.fromkeys(("pitch_drag_quadratic", "travel_drag_quadratic"), lambda of: {"Nms2": of["size"]}),
     "rotor_speed_lag": lambda of: {"s": of["size"]},
     "flywheel": lambda of: {"Nms_per_V": of["size"]},
     "supply_fade": lambda of: {"per_s": of["size"] / 60.0},

@@ -118,9 +118,7 @@ def test_a_shortlist_of_one_effect_changes_the_answer_on_a_small_lag() -> None:
     assert thresholds.SHORTLIST == 3
 
 
-def test_only_constants_of_judgement_are_accepted(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_only_constants_of_judgement_are_accepted(capsys: pytest.CaptureFixture[str]) -> None:
     assert "SHORTLIST" in dict(judged())
     assert "FALSE_DISCOVERY_RATE" not in dict(judged())
     with pytest.raises(SystemExit):

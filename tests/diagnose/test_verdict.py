@@ -219,9 +219,7 @@ def test_absent_pendulum_with_a_tight_prior_has_a_high_score() -> None:
     assert without_pendulum.log_likelihood > baseline.log_likelihood + 100.0
 
 
-def test_pendulum_far_below_its_prior_is_tried_as_absent(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_pendulum_far_below_its_prior_is_tried_as_absent(monkeypatch: pytest.MonkeyPatch) -> None:
     comparison, baseline = refitted("removed.pendulum.elevation=1")
     screening = Screening(baseline.estimate)
     prior = comparison.rig["L_theta"]

@@ -294,10 +294,7 @@ def test_score_of_a_shock_is_that_of_its_regressor_at_every_instant(
     steps = np.arange(linearised.rows)[:, None]
     # A level is a torque that acts from an instant on; an impulse acts in a single step. Shape (n, tested).
     torques_of_level, torques_of_impulse = steps >= rows[tested], steps == rows[tested]
-    for shock, torques in (
-        (residuals.level, torques_of_level),
-        (residuals.impulse, torques_of_impulse),
-    ):
+    for shock, torques in ((residuals.level, torques_of_level), (residuals.impulse, torques_of_impulse)):
         (regressors,) = filtered.disturbance_regressors(DISTURBANCES, output, [torques.astype(float)])
         score, information = regressors.T @ innovations, np.square(regressors).sum(axis=0)
         assert np.allclose(shock.information[tested, output], information, rtol=1e-7)

@@ -11,15 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from heli_host.board.law_flight import PART_WORDS, LawReport, engage
 from heli_host.board.law_program import LawProgram
-from heli_host.declaration import (
-    AXES,
-    PARAMS,
-    Channel,
-    Flags,
-    LawBeginMessage,
-    LawEndMessage,
-    LawPartMessage,
-)
+from heli_host.declaration import AXES, PARAMS, Channel, Flags, LawBeginMessage, LawEndMessage, LawPartMessage
 from heli_host.link.telemetry import Ticks
 from heli_lab.law import Law
 from heli_test_native import law as native_law

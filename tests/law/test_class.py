@@ -107,9 +107,7 @@ HOSTILE: Final[dict[str, dict[str, str]]] = {
     "full_tilt": {"law.py": law_text(front_V=_late("20.0"), back_V="if_else(late, -20.0, back_V)")},
     "not_a_number_of_a_parameter": {"gains.toml": "[parameters]\nelevation_kp = nan\n"},
     "raises_a_limit": {"gains.toml": "[parameters]\nmotor_max_V = 12.0\n"},
-    "plan_without_end": {
-        "plan.toml": 'title = "long"\n[[segment]]\nkind = "hold"\nduration_s = 1e9\n',
-    },
+    "plan_without_end": {"plan.toml": 'title = "long"\n[[segment]]\nkind = "hold"\nduration_s = 1e9\n'},
     "nested_plan": {"plan.toml": "a = " + "[" * 100_000 + "\n"},
 }
 """Files of hostile submissions by name; each gets no points."""

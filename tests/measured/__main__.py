@@ -15,12 +15,7 @@ from heli_lab.diagnose import diagnose, to_json
 from heli_lab.explain.prediction import HORIZONS
 from heli_lab.fit.identification import trace
 from heli_lab.fit_inputs import model_of
-from heli_lab.report.diagnosis.text import (
-    SHARE_HEADS,
-    error_share_rows,
-    error_share_sentences,
-    share_heading,
-)
+from heli_lab.report.diagnosis.text import SHARE_HEADS, error_share_rows, error_share_sentences, share_heading
 from heli_lab.watch.error_shares import error_shares
 from heli_lab.watch.saved_rig import Forecaster, JudgedFlight, at_horizon, growing_axes, saved_rig
 from heli_sim.model import MultibodyModel

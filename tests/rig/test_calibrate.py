@@ -18,11 +18,7 @@ from heli_lab.errors import CalibrationError
 from heli_lab.setup.calibrate.calibration import BenchCalibration, calibrate, set_parameters
 from heli_lab.setup.calibrate.encoders import calibrate_encoders
 from heli_lab.setup.calibrate.motors import Pulse, PulseLimits, ThrustLine, response_design, thrust_of
-from heli_lab.setup.calibrate.operator import (
-    HandAction,
-    SimulatedOperator,
-    TerminalOperator,
-)
+from heli_lab.setup.calibrate.operator import HandAction, SimulatedOperator, TerminalOperator
 from heli_sim.rig import load_rig, write_rig
 from heli_sim.sil.faults import FaultPlan, Span
 from heli_sim.sil.world import SilWorld

@@ -237,9 +237,7 @@ def test_innovations_larger_than_stated_contradict_the_rig(
 ) -> None:
     numbers = itertools.count()
     monkeypatch.setattr(
-        _StillFilter,
-        "value",
-        property(lambda _: np.array([0.0, innovations[next(numbers) % 2], 0.0])),
+        _StillFilter, "value", property(lambda _: np.array([0.0, innovations[next(numbers) % 2], 0.0]))
     )
     events = reported_events(monkeypatch, 300 * BELOW, calibration_s=CALIBRATION_s)
     assert kinds_of(events) == ["free", kind]

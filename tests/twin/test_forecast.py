@@ -25,14 +25,7 @@ from heli_lab.watch.calibration import DEFAULT_DISTURBANCES
 from heli_lab.watch.error_shares import ErrorShares, error_shares, shares_json
 from heli_lab.watch.forecast import Forecasts, HORIZONS_s, START_EVERY_s, forecasts_of, horizon_errors
 from heli_lab.watch.learn import fly_simulated, with_process_noise
-from heli_lab.watch.saved_rig import (
-    RigModel,
-    SavedRig,
-    compare_rigs,
-    comparison_json,
-    saved_json,
-    saved_rig,
-)
+from heli_lab.watch.saved_rig import RigModel, SavedRig, compare_rigs, comparison_json, saved_json, saved_rig
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import AXES
 from heli_sim.model.effects import catalogue, effect_numbers, parse_effects

@@ -160,11 +160,7 @@ def _cases_by_kind() -> Iterator[Case]:
             yield _listed_case(name, listed, size, next(seeds))
         for _ in range(_NOTHING // len(_SIZES)):
             yield Case(
-                f"nothing-{next(nothing_numbers)}",
-                effects=(),
-                unlisted=(),
-                seed=next(seeds),
-                makers=(),
+                f"nothing-{next(nothing_numbers)}", effects=(), unlisted=(), seed=next(seeds), makers=()
             )
         for name, off_list in OFF_LIST.items():
             yield _unlisted_case(name, off_list, size, next(seeds))
@@ -196,11 +192,7 @@ def _listed_case(name: str, listed: ListedEffect, size: int, seed: int) -> Case:
     """Make a case with one listed effect."""
     value = (listed.large if size == _LARGE else listed.small) * _size_factor(seed)
     return Case(
-        f"{name}-{_SIZE_WORD[size]}",
-        effects=((name, value),),
-        unlisted=(),
-        seed=seed,
-        makers=(listed.maker,),
+        f"{name}-{_SIZE_WORD[size]}", effects=((name, value),), unlisted=(), seed=seed, makers=(listed.maker,)
     )
 
 

@@ -397,14 +397,10 @@ OTHER_FORMS: dict[str, OtherForm] = {
     "removed.friction.travel-gone": OtherForm("removed.friction.travel", OnAxis(NoFriction, 2), 1.0),
     "removed.dead_zone-gone": OtherForm("removed.dead_zone", NoDeadZone, 1.0),
     "removed.pendulum.elevation-gone": OtherForm(
-        "removed.pendulum.elevation",
-        OnAxis(NoPendulum, ("long_arm", "counterweight", "body")),
-        1.0,
+        "removed.pendulum.elevation", OnAxis(NoPendulum, ("long_arm", "counterweight", "body")), 1.0
     ),
     "removed.pendulum.pitch-gone": OtherForm(
-        "removed.pendulum.pitch",
-        OnAxis(NoPendulum, ("short_arm", "front_rotor", "back_rotor")),
-        1.0,
+        "removed.pendulum.pitch", OnAxis(NoPendulum, ("short_arm", "front_rotor", "back_rotor")), 1.0
     ),
 }
 """Effect, factory and size of cases of one size: other forms, and absent terms of the baseline."""

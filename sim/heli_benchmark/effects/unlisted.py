@@ -306,9 +306,7 @@ EQUATIONS: Final[Mapping[str, TrueEquation]] = {
     ),
     # Rubber stops beyond an angle on either side.
     "travel_stops": TrueEquation(
-        "torque.travel",
-        lambda m, s, _n: -m.fmax(s.q[2] - 0.5, 0.0) + m.fmax(-0.5 - s.q[2], 0.0),
-        0.6,
+        "torque.travel", lambda m, s, _n: -m.fmax(s.q[2] - 0.5, 0.0) + m.fmax(-0.5 - s.q[2], 0.0), 0.6
     ),
     # A spring that stiffens.
     "stiffening_pitch": TrueEquation("torque.pitch", lambda _m, s, _n: -(s.q[1] ** 3), 1.5),

@@ -19,14 +19,7 @@ from heli_host.ui.cli.entry import run
 from heli_lab.errors import CampaignError
 
 from heli_benchmark import scores as score_module
-from heli_benchmark.entries import (
-    RunLimits,
-    answer_case,
-    find_method,
-    read_run,
-    run_method,
-    run_on_cluster,
-)
+from heli_benchmark.entries import RunLimits, answer_case, find_method, read_run, run_method, run_on_cluster
 from heli_benchmark.errors import BenchmarkError
 from heli_benchmark.leaderboard import (
     comparison_table,

@@ -44,11 +44,7 @@ processor is shared, and the system ends an endless loop up to 2 s late. With le
 refuses valid files; with more, a file that sleeps delays a whole class."""
 _MAX_ANSWER_BYTES: Final = 1 << 20
 """Longest answer of an untrusted file: a program of 1,536 words takes less than 200 kB."""
-_FENCED_ENVIRONMENT: Final = {
-    "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
-    "PYTHONHASHSEED": "0",
-}
+_FENCED_ENVIRONMENT: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONHASHSEED": "0"}
 """Environment of an untrusted file: threads would take memory, and random hashes would change the order of a
 set from run to run."""
 

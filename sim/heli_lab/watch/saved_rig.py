@@ -82,12 +82,7 @@ TERM: Final = "the proposed equation"
 
 
 def saved_rig(
-    result: Diagnosis,
-    name: str,
-    forecast: Forecaster,
-    *,
-    with_unconfirmed: bool,
-    with_term: bool = False,
+    result: Diagnosis, name: str, forecast: Forecaster, *, with_unconfirmed: bool, with_term: bool = False
 ) -> SavedRig:
     """Make the extended rig called `name`, without causes with which an axis is forecast worse by more than
     `MAX_RATIO`. The same decides on a proposed equation. `forecast` forecasts the flights that decide.
@@ -161,10 +156,7 @@ class RigComparison:
 
 
 def compare_rigs(
-    before: RigModel,
-    after: RigModel,
-    judged: Sequence[JudgedFlight],
-    fitted: Iterable[Record],
+    before: RigModel, after: RigModel, judged: Sequence[JudgedFlight], fitted: Iterable[Record]
 ) -> RigComparison:
     """Compare the forecasts of equations and rig before and after an identification from `fitted` flights."""
     forecasts = forecast_flights(after.model, after.rig, judged)

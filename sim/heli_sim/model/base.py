@@ -22,14 +22,7 @@ from heli_sim.model.effect import AXES, Effect, Operands, Stage, friction_torque
 from heli_sim.rig import RIG_QUANTITIES, Rig
 from heli_sim.rig.schema import ENCODER_COUNTS, Quantity
 
-__all__ = [
-    "INPUTS",
-    "STATES",
-    "Effect",
-    "Model",
-    "Operands",
-    "Stage",
-]
+__all__ = ["INPUTS", "STATES", "Effect", "Model", "Operands", "Stage"]
 
 
 STATES: Final[tuple[Quantity, ...]] = (

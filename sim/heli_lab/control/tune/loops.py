@@ -107,10 +107,7 @@ def loop_effects_of(effects: Sequence[Effect]) -> LoopEffects:
         elif not is_stated_by_number:
             excluded.append(effect.name)
     return LoopEffects(
-        lag_s=sum(lags_s) if lags_s else None,
-        delay_s=delay_s,
-        linear=tuple(linear),
-        excluded=tuple(excluded),
+        lag_s=sum(lags_s) if lags_s else None, delay_s=delay_s, linear=tuple(linear), excluded=tuple(excluded)
     )
 
 
