@@ -109,19 +109,20 @@ def test_only_a_slow_log_has_a_note() -> None:
 
 
 @pytest.mark.diagnosis
-@pytest.mark.parametrize(("logged", "slower"), [(every, True), (thinned, False)])
+@pytest.mark.parametrize(("log_of", "has_samples"), [(every, True), (thinned, False)])
 def test_the_flight_shows_whether_its_voltages_are_samples(
-    logged: Callable[[Flight, int], Flight], slower: bool
+    log_of: Callable[[Flight, int], Flight], has_samples: bool
 ) -> None:
-    held = compared(logged(at_loop_rate(), THINNING))
-    screenings = [Screening(held.filtering_baseline.estimate)]
-    timed = with_likelier_advance(held, screenings, loop_Hz=None)
-    assert (timed is not None) is slower
-    if timed is not None:
-        assert timed.train[0].advance_rows == pytest.approx(0.45, abs=0.15)
-        assert timed.filtering_baseline.log_likelihood > held.filtering_baseline.log_likelihood + 10.0
+    comparison = compared(log_of(at_loop_rate(), THINNING))
+    screenings = [Screening(comparison.filtering_baseline.estimate)]
+    with_advance = with_likelier_advance(comparison, screenings, loop_Hz=None)
+    assert (with_advance is not None) is has_samples
+    if with_advance is not None:
+        assert with_advance.train[0].advance_rows == pytest.approx(0.45, abs=0.15)
+        log_likelihood = with_advance.filtering_baseline.log_likelihood
+        assert log_likelihood > comparison.filtering_baseline.log_likelihood + 10.0
     # A log at the rate of its loop has no voltages between its rows.
-    assert with_likelier_advance(held, screenings, 1000.0 / THINNING) is None
+    assert with_likelier_advance(comparison, screenings, loop_Hz=1000.0 / THINNING) is None
 
 
 @pytest.mark.diagnosis

@@ -497,14 +497,14 @@ class Scores:
         """Nothing is kept."""
 
 
-def explained(
+def explained_remainder(
     monkeypatch: pytest.MonkeyPatch,
     fitted: dict[str, float],
     held_out: dict[str, float] | None,
     min_nats: float = 0.0,
     nats: float = 5.0,
 ) -> Any:
-    """Return the search with one more cause, or None."""
+    """Search the remainder of a flight for one more cause; return the search with it, or None."""
     # `fitted`, `held_out`: Gain of each effect on the fitted and on the held-out flights, nats. Gains of
     # opposite signs belong to sizes of opposite signs.
     # `min_nats`: Smallest score on the fitted flights.
@@ -531,33 +531,35 @@ def explained(
 def test_an_effect_that_all_flights_show_together_is_a_cause_with_little_evidence(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    wider = explained(monkeypatch, {DRAG: 8.0}, {DRAG: 12.0})
+    wider = explained_remainder(monkeypatch, fitted={DRAG: 8.0}, held_out={DRAG: 12.0})
     (cause,) = wider.causes
     assert wider.final.ids == ("axis_tilt", DRAG)
     assert (cause.effect, cause.train, cause.held_out) == (DRAG, 5.0, 15.0)
     # Another effect is named with it if all flights together do not distinguish them.
     other = "pitch_drag_quadratic"
-    (cause,) = explained(monkeypatch, {DRAG: 8.0, other: 7.0}, {DRAG: 12.0, other: 12.0}).causes
+    (cause,) = explained_remainder(
+        monkeypatch, fitted={DRAG: 8.0, other: 7.0}, held_out={DRAG: 12.0, other: 12.0}
+    ).causes
     assert cause.ambiguous_with == (other,)
 
 
 def test_flights_that_contradict_each_other_show_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert explained(monkeypatch, {DRAG: 12.0}, {DRAG: -12.0}) is None
-    assert explained(monkeypatch, {DRAG: 3.0}, {DRAG: 2.0}) is None
+    assert explained_remainder(monkeypatch, fitted={DRAG: 12.0}, held_out={DRAG: -12.0}) is None
+    assert explained_remainder(monkeypatch, fitted={DRAG: 3.0}, held_out={DRAG: 2.0}) is None
 
 
 def test_effect_whose_refit_all_flights_hardly_need_is_no_cause(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert explained(monkeypatch, {DRAG: 8.0}, {DRAG: 12.0}, nats=3.0) is None
-    assert explained(monkeypatch, {DRAG: 8.0}, {DRAG: 12.0}, nats=-1.0) is None
+    assert explained_remainder(monkeypatch, fitted={DRAG: 8.0}, held_out={DRAG: 12.0}, nats=3.0) is None
+    assert explained_remainder(monkeypatch, fitted={DRAG: 8.0}, held_out={DRAG: 12.0}, nats=-1.0) is None
 
 
 def test_effect_that_fitted_flights_do_not_show_is_tried_for_a_remainder(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert explained(monkeypatch, {DRAG: 1.0}, {DRAG: 19.0}) is not None
-    assert explained(monkeypatch, {DRAG: 1.0}, {DRAG: 19.0}, min_nats=2.0) is None
+    assert explained_remainder(monkeypatch, fitted={DRAG: 1.0}, held_out={DRAG: 19.0}) is not None
+    assert explained_remainder(monkeypatch, fitted={DRAG: 1.0}, held_out={DRAG: 19.0}, min_nats=2.0) is None
 
 
 def test_remainder_search_skips_events_and_flights_too_short_to_test(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert explained(monkeypatch, {STEP: 90.0}, {STEP: 90.0}) is None
-    assert explained(monkeypatch, {DRAG: 20.0}, held_out=None) is None
+    assert explained_remainder(monkeypatch, fitted={STEP: 90.0}, held_out={STEP: 90.0}) is None
+    assert explained_remainder(monkeypatch, fitted={DRAG: 20.0}, held_out=None) is None

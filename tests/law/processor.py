@@ -49,7 +49,7 @@ class Processor:
 
     def _cells_offset(self, _: int) -> int:
         """Where in the object the cells are: the last of it, found by writing a number and copying it."""
-        word = 1 << 18 | 0 << 9
+        word = operation_word(code=0, target=1)
         self.core.write(PROGRAM, word.to_bytes(4, "little"))
         for offset in range(0, 0x2000, 4):
             self.core.write(TAPE, bytes(0x2800))
@@ -97,9 +97,17 @@ def pairs(seed: int, count: int) -> npt.NDArray[np.float32]:
     return np.vstack([special, bits.view(np.float32), near.view(np.float32)]).astype(np.float32)
 
 
+RESULT_CELL: Final = 400
+
+
+def operation_word(code: int, target: int, first: int = 0, second: int = 0) -> int:
+    """Word of an operation: its code, the cell of its result, and those of its operands."""
+    return code << 27 | target << 18 | first << 9 | second
+
+
 def operation_cost(processor: Processor, code: int, operands: npt.NDArray[np.float32], binary: bool) -> int:
     """Most instructions of one operation, the step to the next included."""
-    word = code << 27 | 400 << 18 | 0 << 9 | (1 if binary else 0)
+    word = operation_word(code, RESULT_CELL, first=0, second=1 if binary else 0)
     most = 0
     once, twice = np.array([word], np.uint32), np.array([word, word], np.uint32)
     for pair in operands:

@@ -27,7 +27,15 @@ from firmware.due.report import read_image
 from tests.firmware.built import built_elf
 from tests.firmware.cost import LAW_UPDATE, Flight, fly_the_worst
 from tests.law.flown import LAWS, fly_and_steer, law_of
-from tests.law.processor import Processor, adversarial_sums, operation_cost, pairs, sum_cost, sum_words
+from tests.law.processor import (
+    Processor,
+    adversarial_sums,
+    operation_cost,
+    operation_word,
+    pairs,
+    sum_cost,
+    sum_words,
+)
 from tests.running.long import LONG, samples
 
 pytestmark = pytest.mark.emulated
@@ -97,9 +105,7 @@ def random_program(chance: np.random.Generator, inputs: int, written: int) -> tu
             declared += LAW_TERM_COST * count
             continue
         first, second = chance.integers(0, readable, 2).tolist()
-        words.append(
-            operation.code << 27 | target << 18 | first << 9 | (second if operation.operands == 2 else 0)
-        )
+        words.append(operation_word(operation.code, target, first, second if operation.operands == 2 else 0))
     return words, declared
 
 

@@ -97,7 +97,7 @@ def stays_off(heli: heli_host.Heli, which: str) -> None:
     heli.wait(0.1)
     heli.session.subscribe_ticks(ticks.append)
     with pytest.raises(heli_host.HeliError):
-        heli.session.command(LawFlyMessage(0, 1))
+        heli.session.command(LawFlyMessage(request=0, on=1))
     heli.wait(0.5)
     motors = np.concatenate([part.raw for part in ticks])[:, [Channel.FRONT, Channel.BACK]]
     assert len(motors) > 400
@@ -180,7 +180,7 @@ def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> Non
         if end == "it lands":
             heli.land()
         else:
-            heli.session.command(LawFlyMessage(0, 0))
+            heli.session.command(LawFlyMessage(request=0, on=0))
             heli.wait(20.0)
         since = heli.samples(last_s=30.0)
         # One degree over: what any step does on slow rotors.

@@ -51,7 +51,7 @@ def upload(harness: Harness, program: LawProgram) -> d.AckMessage:
 def engage(harness: Harness, program: LawProgram) -> d.AckMessage:
     """Upload a law and let it fly."""
     assert upload(harness, program).result == Result.OK
-    answer: d.AckMessage = harness.ask(d.LawFlyMessage(0, 1))
+    answer: d.AckMessage = harness.ask(d.LawFlyMessage(request=0, on=1))
     return answer
 
 
@@ -118,11 +118,11 @@ def test_a_law_has_its_whole_time_astray_each_time_it_flies() -> None:
     harness = hovering()
     assert upload(harness, law.program).result == Result.OK
     for _ in range(3):
-        assert harness.ask(d.LawFlyMessage(0, 1)).result == Result.OK
+        assert harness.ask(d.LawFlyMessage(request=0, on=1)).result == Result.OK
         harness.keep_flying(round(600 * ENVELOPE))
-        assert harness.ask(d.LawFlyMessage(0, 0)).result == Result.OK
+        assert harness.ask(d.LawFlyMessage(request=0, on=0)).result == Result.OK
     assert taken_over(harness) == 3 * [Takeover.COMMAND]
-    assert harness.ask(d.LawFlyMessage(0, 1)).result == Result.OK
+    assert harness.ask(d.LawFlyMessage(request=0, on=1)).result == Result.OK
     harness.keep_flying(round(1100 * ENVELOPE))
     assert taken_over(harness)[3:] == [Takeover.PITCH_FOLLOWING]
 
@@ -135,11 +135,11 @@ def test_the_first_voltage_of_every_flight_of_a_law_is_no_jump() -> None:
     for _ in range(2):
         harness.keep_flying(2000)
         assert harness.motors[0] < 1.0 * harness.motors[1] + 100
-        assert harness.ask(d.LawFlyMessage(0, 1)).result == Result.OK
+        assert harness.ask(d.LawFlyMessage(request=0, on=1)).result == Result.OK
         harness.keep_flying(50)
         assert not taken_over(harness)[1:], "the law was taken over"
         assert harness.state is State.CLOSED_LOOP
-        harness.ask(d.LawFlyMessage(0, 0))
+        harness.ask(d.LawFlyMessage(request=0, on=0))
     assert taken_over(harness) == [Takeover.COMMAND, Takeover.COMMAND]
 
 

@@ -182,7 +182,7 @@ def test_no_number_passes_in_numpy_and_c_where_it_does_on_the_board(name: str, t
 def test_operations_on_no_number_are_the_same_on_the_due() -> None:
     pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
     from tests.firmware.built import built_elf
-    from tests.law.processor import SPECIAL, Processor
+    from tests.law.processor import RESULT_CELL, SPECIAL, Processor, operation_word
 
     processor = Processor(built_elf())
     pairs = np.array(np.meshgrid(SPECIAL, SPECIAL), np.float32).reshape(2, -1).T
@@ -191,10 +191,10 @@ def test_operations_on_no_number_are_the_same_on_the_due() -> None:
         if operation.operands == 0:
             continue
         native = native_law.operate(operation.code, pairs)[:, 0]
-        word = operation.code << 27 | 400 << 18 | (1 if operation.operands == 2 else 0)
+        word = operation_word(operation.code, RESULT_CELL, second=1 if operation.operands == 2 else 0)
         for pair, wanted in zip(pairs, native, strict=True):
             processor.cost(np.array([word], np.uint32), pair)
-            on_due = processor.read_cells()[400]
+            on_due = processor.read_cells()[RESULT_CELL]
             assert on_due.view(np.uint32) == wanted.view(np.uint32), (operation.name, pair)
 
 

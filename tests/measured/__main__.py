@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,29 +120,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     pairs = given.pairs or list(PAIRS)
     if given.diagnose:
-        grown = 0
+        worse_axes = 0
         for pair in pairs:
             for exchanged in (False, True):
-                text, worse = _diagnosed(pair, exchanged)
+                text, worse_axes_of_pair = _diagnosed(pair, exchanged)
                 print(text, flush=True)
-                grown += worse
-        print(f"axes whose forecast at 1 s grows by more than 10 % in the saved rig: {grown}")
+                worse_axes += worse_axes_of_pair
+        print(f"axes whose forecast at 1 s grows by more than 10 % in the saved rig: {worse_axes}")
         return 0
-    last: list[tuple[str, PairFit]] = []
+    full_fits: list[tuple[str, PairFit]] = []  # With all effects, by the name of the pair
     print("two seconds ahead, degrees rms (ratio to the baseline and its 95 % interval):")
     for pair in pairs:
-        there, back = fit_pair(pair), fit_pair(pair, back=True)
-        for forward, backward in zip(there, back, strict=True):
+        # Each list begins with the baseline, and ends with all effects.
+        forward_fits, backward_fits = fit_pair(pair), fit_pair(pair, back=True)
+        for forward, backward in zip(forward_fits, backward_fits, strict=True):
             print(_row(pair, forward), _row(pair + ", back", backward), sep="\n", flush=True)
-        last += [(pair, there[-1]), (pair + ", back", back[-1])]
+        full_fits += [(pair, forward_fits[-1]), (pair + ", back", backward_fits[-1])]
         title = f"{PAIRS[pair][1]}, predicted two seconds ahead from what {PAIRS[pair][0]} taught"
-        figure_of_pair(there[0], there[-1], title).savefig(given.figures / f"measured-{pair}.png", dpi=90)
+        figure = figure_of_pair(forward_fits[0], forward_fits[-1], title)
+        figure.savefig(given.figures / f"measured-{pair}.png", dpi=90)
     print(f"ratios {', '.join(HORIZONS)} s ahead; over the same model taught by the judging flight, 2 s:")
-    for name, pair_fit in last:
+    for name, pair_fit in full_fits:
         print(_ahead(name, pair_fit), flush=True)
     if pairs == list(PAIRS):
         sizes = {
-            label: [(pair_fit.fit.params[name], pair_fit.fit.std[name]) for _, pair_fit in last]
+            label: [(pair_fit.fit.params[name], pair_fit.fit.std[name]) for _, pair_fit in full_fits]
             for name, label in SIZES.items()
         }
         figure_of_sizes(sizes, pairs).savefig(given.figures / "measured-sizes.png", dpi=90)
@@ -176,19 +178,6 @@ def _diagnosed(pair: str, exchanged: bool) -> tuple[str, int]:
     labels = list(reversed(PAIRS[pair])) if exchanged else list(PAIRS[pair])
     diagnosis = diagnose(MultibodyModel(), load_rig(RIG), [train], [held_out], labels=labels)
     answer = to_json(diagnosis)
-    causes = [
-        f"{cause['effect']} (confidence {cause['confidence']:.2f}; "
-        + ", ".join(f"{n} {v['value']:.4f} +- {v['std']:.4f}" for n, v in cause["parameters"].items())
-        + ")"
-        + _confirmed(cause)
-        for cause in answer["causes"]
-    ]
-    gains = [
-        f"{key} s: {axis} {of['before']:.3f} to {of['after']:.3f}, ratio {of['ratio']:.2f} "
-        f"({of['interval95'][0]:.2f} to {of['interval95'][1]:.2f})"
-        for key, horizon in answer["gain"]["horizons"].items()
-        for axis, of in horizon["axis"].items()
-    ]
     title = f"{pair}{', back' if exchanged else ''}: {answer['verdict']}"
     fitted, judged = (
         [JudgedFlight(label, read_flight(MEASURED / f"{label}.csv.gz"), (FROM_s, LANDS_s.get(label, None)))]
@@ -204,7 +193,28 @@ def _diagnosed(pair: str, exchanged: bool) -> tuple[str, int]:
         *error_share_sentences(shares, diagnosis.label),
         *(cause.sentence for cause in saved.left_out),
     ]
-    return "\n  ".join([title, *causes, *gains, *parts]), len(growing_axes(errors, forecast.count_deg))
+    lines = [title, *map(_cause_text, answer["causes"]), *_gain_lines(answer["gain"]["horizons"]), *parts]
+    return "\n  ".join(lines), len(growing_axes(errors, forecast.count_deg))
+
+
+def _cause_text(cause: Mapping[str, Any]) -> str:
+    """Name a cause with its confidence and its parameters."""
+    parameters = ", ".join(
+        f"{name} {estimate['value']:.4f} +- {estimate['std']:.4f}"
+        for name, estimate in cause["parameters"].items()
+    )
+    return f"{cause['effect']} (confidence {cause['confidence']:.2f}; {parameters}){_confirmed(cause)}"
+
+
+def _gain_lines(horizons: Mapping[str, Any]) -> Iterator[str]:
+    """State the errors before and after at each horizon."""
+    for horizon_s, horizon in horizons.items():
+        for axis, reduction in horizon["axis"].items():
+            low, high = reduction["interval95"]
+            yield (
+                f"{horizon_s} s: {axis} {reduction['before']:.3f} to {reduction['after']:.3f}, "
+                f"ratio {reduction['ratio']:.2f} ({low:.2f} to {high:.2f})"
+            )
 
 
 def _confirmed(cause: dict[str, Any]) -> str:

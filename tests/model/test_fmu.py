@@ -22,7 +22,8 @@ from heli_sim.model.multibody import MultibodyModel
 from heli_sim.model.plant import Plant
 from heli_sim.sil.options import SilOptions, plant_of
 
-OUTPUTS = [3, 4, 5]
+VOLTAGES, OUTPUTS = [1, 2], [3, 4, 5]
+"""Value references of both voltages, and of the three angles."""
 STEP_S = 1e-3
 
 
@@ -73,7 +74,7 @@ def co_simulated(path: Path, folder: Path, volts_V: Floats, ticks: int = 1) -> F
     slave.exitInitializationMode()
     matches = []
     for row in range(0, len(volts_V), ticks):
-        slave.setFloat64([1, 2], volts_V[row].tolist())
+        slave.setFloat64(VOLTAGES, volts_V[row].tolist())
         slave.doStep(row * STEP_S, ticks * STEP_S)
         matches.append(slave.getFloat64(OUTPUTS))
     slave.terminate()
@@ -88,7 +89,7 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
     from ctypes import c_double
 
     model = instance_in_initialization(path, folder, co_simulation=False)
-    model.setFloat64([1, 2], volts_V[0].tolist())
+    model.setFloat64(VOLTAGES, volts_V[0].tolist())
     model.exitInitializationMode()
     buffer, rates = (c_double * states)(), (c_double * states)()
     indicators = (c_double * 6)()
@@ -120,7 +121,7 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
         buffer[:] = x.tolist()
         model.setContinuousStates(buffer, states)
         # The voltages that act from here on are there before the event, as an importer has it.
-        model.setFloat64([1, 2], volts_V[min(row + 1, len(volts_V) - 1)].tolist())
+        model.setFloat64(VOLTAGES, volts_V[min(row + 1, len(volts_V) - 1)].tolist())
         model.getEventIndicators(indicators, 6)
         if next_s <= at_s + h + 1e-9 or min(indicators[:]) <= 0.0:
             model.enterEventMode()
@@ -195,9 +196,9 @@ def test_a_number_of_the_rig_can_be_set_and_has_its_effect(plain: Path, tmp_path
     other = Plant(changed.model, changed.rig.replace(thrust_gain=1.1 * float(thrust_gain.start)))
     volts_V = voltages(2.0, np.array([1.8, 1.8]))
     for row, volts in enumerate(volts_V):
-        slave.setFloat64([1, 2], volts.tolist())
+        slave.setFloat64(VOLTAGES, volts.tolist())
         slave.doStep(row * 1e-3, 1e-3)
-    np.testing.assert_allclose(slave.getFloat64([3, 4, 5]), plants_flight(other, volts_V)[-1], atol=1e-12)
+    np.testing.assert_allclose(slave.getFloat64(OUTPUTS), plants_flight(other, volts_V)[-1], atol=1e-12)
     slave.freeInstance()
 
 
@@ -206,14 +207,14 @@ def test_a_state_kept_and_set_again_gives_the_same_flight_again(tmp_path: Path) 
     write_fmu(plant_named("sampled"), path)
     slave = instance_in_initialization(path, tmp_path / "u", co_simulation=True)
     slave.exitInitializationMode()
-    slave.setFloat64([1, 2], [2.0, 1.9])
+    slave.setFloat64(VOLTAGES, [2.0, 1.9])
     slave.doStep(0.0, 0.5)
     kept = slave.serializeFMUState(slave.getFMUState())
     slave.doStep(0.5, 0.5)
-    first = slave.getFloat64([3, 4, 5])
+    first = slave.getFloat64(OUTPUTS)
     slave.setFMUState(slave.deserializeFMUState(kept))
     slave.doStep(0.5, 0.5)
-    assert slave.getFloat64([3, 4, 5]) == first
+    assert slave.getFloat64(OUTPUTS) == first
     slave.freeInstance()
 
 

@@ -237,6 +237,7 @@ class FlightInWeakForm:
         self._rig = rig
         self._set_model(_without_random_and_lagged_effects(model))
         rest_deg = flight.parameters.get("elevation_rest_deg", rig["elevation_min"].value)
+        # Angles at which the encoders were zeroed: an encoder with a wrong scale is right there.
         self._pivot: Floats = np.array([np.radians(rest_deg), 0.0, 0.0])
         rows = flown_rows(flight) & (flight.elevation_rad > self._pivot[0] + np.radians(_CLEAR_deg))
         rows &= _rows_with_live_encoders(flight)
