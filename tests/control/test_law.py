@@ -26,7 +26,7 @@ class Loop:
     integral_max: float
     integral: float = 0.0
 
-    def wanted(self, error: float, rate: float) -> float:
+    def output(self, error: float, rate: float) -> float:
         return self.kp * error + self.integral - self.kd * rate
 
     def learn(self, error: float, excess: float) -> None:
@@ -54,13 +54,14 @@ class ReferenceLaw:
         loops = ((ELEVATION, "elevation", "V"), (PITCH, "pitch", "V"), (TRAVEL, "travel", "deg"))
         for bit, axis, unit in loops:
             if closing & bit:
-                most = p[f"{axis}_integral_max_{unit}"]
-                setattr(self, axis, Loop(p[f"{axis}_kp"], p[f"{axis}_ki"], p[f"{axis}_kd"], most))
+                kp, ki, kd = (p[f"{axis}_{gain}"] for gain in ("kp", "ki", "kd"))
+                setattr(self, axis, Loop(kp, ki, kd, integral_max=p[f"{axis}_integral_max_{unit}"]))
 
-    def _without_jump(self, name: str, fresh: float, changed: bool) -> float:
-        keep = math.exp(-TICK_S / self.parameters["bumpless_s"])
-        self.jumps[name] = self.last.get(name, 0.0) - fresh if changed else self.jumps.get(name, 0.0) * keep
-        return fresh + self.jumps[name]
+    def _without_jump(self, name: str, value: float, changed: bool) -> float:
+        """Return a value that continues from the last one when the source of a signal has changed."""
+        decay = math.exp(-TICK_S / self.parameters["bumpless_s"])
+        self.jumps[name] = self.last.get(name, 0.0) - value if changed else self.jumps.get(name, 0.0) * decay
+        return value + self.jumps[name]
 
     def _lift(self, motor_V: float) -> float:
         zone = self.parameters["dead_zone_V"]
@@ -83,65 +84,69 @@ class ReferenceLaw:
         excitation_V: tuple[float, float],
     ) -> tuple[float, float, float]:
         """One tick; returns front and back voltage and the pitch setpoint in degrees."""
+        # `axes` are those whose loops are closed. `plus` and `minus` are sum and difference of the lifting
+        # voltages, U+ and U- of the paper.
         p = self.parameters
-        changed = 7 if self.axes is None else axes ^ self.axes
+        elevation_deg, pitch_deg, travel_deg = angle_deg
+        elevation_deg_s, pitch_deg_s, travel_deg_s = rate_deg_s
+        elevation_setpoint, given_pitch_setpoint, travel_setpoint = setpoint_deg
+        elevation_setpoint_rate, _, travel_setpoint_rate = setpoint_rate_deg_s
+        elevation_acceleration, _, travel_acceleration = setpoint_acceleration_deg_s2
+        changed = ELEVATION | PITCH | TRAVEL if self.axes is None else axes ^ self.axes
         self.axes = axes
         if axes & (ELEVATION | PITCH) == 0:
-            return self._open(changed, open_V, excitation_V, setpoint_deg[1])
+            return self._open(changed, open_V, excitation_V, given_pitch_setpoint)
         self._restart(axes & changed)
         if axes & changed & PITCH:
-            self.last["pitch_setpoint"] = angle_deg[1]
+            self.last["pitch_setpoint"] = pitch_deg
 
-        fresh = (
-            p["travel_acceleration_ff"] * setpoint_acceleration_deg_s2[2]
-            + self.travel.wanted(
-                setpoint_deg[2] - angle_deg[2],
-                rate_deg_s[2] - p["travel_rate_ff"] * setpoint_rate_deg_s[2],
+        travel_error = travel_setpoint - travel_deg
+        demand = given_pitch_setpoint
+        if axes & TRAVEL:
+            relative_rate = travel_deg_s - p["travel_rate_ff"] * travel_setpoint_rate
+            demand = p["travel_acceleration_ff"] * travel_acceleration + self.travel.output(
+                travel_error, relative_rate
             )
-            if axes & TRAVEL
-            else setpoint_deg[1]
-        )
-        wanted = self._without_jump("pitch_setpoint", fresh, bool(changed & (TRAVEL | PITCH)))
-        limited = bound(wanted, p["pitch_setpoint_max_deg"])
-        before = self.last.get("pitch_setpoint", 0.0)
-        pitch_setpoint = before + bound(limited - before, p["pitch_slew_deg_s"] * TICK_S)
+        demand = self._without_jump("pitch_setpoint", demand, bool(changed & (TRAVEL | PITCH)))
+        previous = self.last.get("pitch_setpoint", 0.0)
+        step = bound(demand, p["pitch_setpoint_max_deg"]) - previous
+        pitch_setpoint = previous + bound(step, p["pitch_slew_deg_s"] * TICK_S)
         self.last["pitch_setpoint"] = pitch_setpoint
 
-        lifts = [self._lift(v) for v in open_V]
-        elevation_error = setpoint_deg[0] - angle_deg[0]
-        pitch_error = pitch_setpoint - angle_deg[1]
-        braked_deg_s = rate_deg_s[0] - p["elevation_rate_ff"] * setpoint_rate_deg_s[0]
-        feed_forward_V = (
-            p["hover_V"]
-            + p["hover_slope"] * setpoint_deg[0]
-            + p["elevation_acceleration_ff"] * setpoint_acceleration_deg_s2[0]
-        )
-        closed_V = feed_forward_V + self.elevation.wanted(elevation_error, braked_deg_s)
-        plus = closed_V if axes & ELEVATION else sum(lifts)
-        minus = (
-            p["pitch_hold_ff"] * pitch_setpoint + self.pitch.wanted(pitch_error, rate_deg_s[1])
-            if axes & PITCH
-            else lifts[0] - lifts[1]
-        )
+        front_lift, back_lift = (self._lift(volts) for volts in open_V)
+        plus, minus = front_lift + back_lift, front_lift - back_lift
+        elevation_error, pitch_error = elevation_setpoint - elevation_deg, pitch_setpoint - pitch_deg
+        if axes & ELEVATION:
+            feed_forward_V = (
+                p["hover_V"]
+                + p["hover_slope"] * elevation_setpoint
+                + p["elevation_acceleration_ff"] * elevation_acceleration
+            )
+            relative_rate = elevation_deg_s - p["elevation_rate_ff"] * elevation_setpoint_rate
+            plus = feed_forward_V + self.elevation.output(elevation_error, relative_rate)
+        if axes & PITCH:
+            minus = p["pitch_hold_ff"] * pitch_setpoint + self.pitch.output(pitch_error, pitch_deg_s)
         plus = self._without_jump("plus", plus, bool(changed & ELEVATION))
         minus = self._without_jump("minus", minus, bool(changed & PITCH))
 
-        extra_plus = excitation_V[0] + excitation_V[1]
-        extra_minus = excitation_V[0] - excitation_V[1]
-        least, most = self._lift(p["motor_min_V"]), self._lift(p["motor_max_V"])
-        acted_minus = bound(minus + extra_minus, min(most - least, p["differential_max_V"]))
-        acted_plus = max(2 * least + abs(acted_minus), min(2 * most - abs(acted_minus), plus + extra_plus))
+        # Pitch has priority: the difference is limited first, and leaves the sum what remains.
+        front_excitation, back_excitation = excitation_V
+        extra_plus, extra_minus = front_excitation + back_excitation, front_excitation - back_excitation
+        low, high = self._lift(p["motor_min_V"]), self._lift(p["motor_max_V"])
+        acted_minus = bound(minus + extra_minus, min(high - low, p["differential_max_V"]))
+        acted_plus = max(2 * low + abs(acted_minus), min(2 * high - abs(acted_minus), plus + extra_plus))
         self.last["plus"] = acted_plus - extra_plus
         self.last["minus"] = acted_minus - extra_minus
 
+        # An integral does not grow while its output exceeds a limit.
         excess_minus = minus + extra_minus - acted_minus
         if axes & ELEVATION:
             self.elevation.learn(elevation_error, plus + extra_plus - acted_plus)
         if axes & PITCH:
             self.pitch.learn(pitch_error, excess_minus)
         if axes & TRAVEL:
-            excess = wanted - pitch_setpoint
-            self.travel.learn(setpoint_deg[2] - angle_deg[2], excess if excess != 0 else excess_minus)
+            excess_pitch = demand - pitch_setpoint
+            self.travel.learn(travel_error, excess_pitch if excess_pitch != 0 else excess_minus)
         front = self._motor((acted_plus + acted_minus) / 2)
         back = self._motor((acted_plus - acted_minus) / 2)
         self.last["front"], self.last["back"] = front, back
@@ -493,25 +498,25 @@ class ReferenceAxis:
     step: float = 0.0
     smooth: float = 0.0
 
-    def aim(self, target: float, ahead: int) -> None:
-        self.target, self.ramp = target, ahead
-        self.slope = (target - self.path) / ahead if ahead else 0.0
+    def aim(self, target: float, ramp_ticks: int) -> None:
+        self.target, self.ramp = target, ramp_ticks
+        self.slope = (target - self.path) / ramp_ticks if ramp_ticks else 0.0
 
     def advance(self) -> tuple[float, float, float]:
         self.ramp = max(0, self.ramp - 1)
         self.path, self.slope = (self.path + self.slope, self.slope) if self.ramp else (self.target, 0.0)
-        way = self.path - self.angle
+        remaining = self.path - self.angle
         if math.isinf(self.change_max):
-            self.angle += bound(way, self.step_max)
+            self.angle += bound(remaining, self.step_max)
             return self.angle, 0.0, 0.0
-        near = self.change_max / CLOSE_IN**2
-        speed = (
-            way * CLOSE_IN
-            if abs(way) <= near
-            else math.copysign(math.sqrt(2 * self.change_max * (abs(way) - near / 2)), way)
-        )
-        wanted = bound(bound(self.slope, self.step_max) + speed, self.step_max)
-        change = bound(wanted - self.step, self.change_max)
+        # Near the target, it is approached exponentially; before that, the axis brakes evenly.
+        approach = self.change_max / CLOSE_IN**2
+        speed = remaining * CLOSE_IN
+        if abs(remaining) > approach:
+            braking = math.sqrt(2 * self.change_max * (abs(remaining) - approach / 2))
+            speed = math.copysign(braking, remaining)
+        step = bound(bound(self.slope, self.step_max) + speed, self.step_max)
+        change = bound(step - self.step, self.change_max)
         self.step += change
         self.angle += self.step
         self.smooth += 0.01 * (change - self.smooth)
@@ -536,19 +541,20 @@ def shape_both(seed: int, ticks: int, **changes: float) -> np.ndarray:
             ("travel", limit(p["travel_acceleration_deg_s2"] * TICK_S**2)),
         )
     ]
-    out = np.empty((ticks, 2, 3, 3))
+    shaped_deg = np.empty((ticks, 2, 3, 3))
+    of_firmware, of_reference = 0, 1
     sizes_deg = np.array((15.0, 15.0, 120.0))
     for tick in range(ticks):
         if tick % 500 == 0:
             # A step, or the pieces of a smooth path.
-            ahead = int(rng.choice([0, 20, 300]))
+            ramp_ticks = int(rng.choice([0, 20, 300]))
             targets_deg = rng.uniform(-1.0, 1.0, 3) * sizes_deg
-            assert shaper.aim([float(x) for x in np.radians(targets_deg)], ahead)
+            assert shaper.aim([float(x) for x in np.radians(targets_deg)], ramp_ticks)
             for axis, target in zip(axes, targets_deg.tolist(), strict=True):
-                axis.aim(target, ahead)
-        out[tick, 0] = np.degrees(shaper.advance())
-        out[tick, 1] = [axis.advance() for axis in axes]
-    return out
+                axis.aim(target, ramp_ticks)
+        shaped_deg[tick, of_firmware] = np.degrees(shaper.advance())
+        shaped_deg[tick, of_reference] = [axis.advance() for axis in axes]
+    return shaped_deg
 
 
 @pytest.mark.medium

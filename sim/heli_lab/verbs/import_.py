@@ -90,10 +90,10 @@ def import_(
     known_rig = load_rig(rig) if rig is not None else None
     sources = _read_sources(files, output, one_flight=one_flight)
     if not guess and profile is not None:
-        given = read_profile(profile)
+        given_profile = read_profile(profile)
         if rate is not None:
-            given = replace(given, time="", rate_Hz=rate)
-        write_result(json, _write_flights(sources, given))
+            given_profile = replace(given_profile, time="", rate_Hz=rate)
+        write_result(json, _write_flights(sources, given_profile))
         return
     guesses = _guess_profiles([source.table for source in sources], known_rig, rate, profile)
     # All files are from one program, and have the same profile.

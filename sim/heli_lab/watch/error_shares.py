@@ -231,11 +231,12 @@ class _Samples(NamedTuple):
 
 def _independent(forecasts: Sequence[Forecasts]) -> _Samples:
     """Return forecasts that do not overlap."""
-    horizon, every = HORIZONS_s.index(MAIN_HORIZON_s), round(MAIN_HORIZON_s / START_EVERY_s)
+    horizon = HORIZONS_s.index(MAIN_HORIZON_s)
+    starts_per_horizon = round(MAIN_HORIZON_s / START_EVERY_s)
     quantities, squares = [], []
     for flight in forecasts:
         of_flight = flight.squares_rad2(horizon)
-        rows = np.flatnonzero(np.isfinite(of_flight).all(axis=1))[::every]
+        rows = np.flatnonzero(np.isfinite(of_flight).all(axis=1))[::starts_per_horizon]
         squares.append(of_flight[rows])
         angles = np.rad2deg(np.hstack((flight.start_rad[rows], flight.start_rad_s[rows])))
         quantities.append(np.hstack((flight.start_V[rows], angles)))

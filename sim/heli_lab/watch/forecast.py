@@ -379,8 +379,8 @@ def _expected_rad2(
     """Return the mean square error at `MAIN_HORIZON_s` that a right model would have, (3,) [rad2]."""
     # The covariance of the filter is propagated without measurements. Its rows are states, then gusts, drift
     # and constant torques about three axes each, then zeros. Shapes: `count_rad` (3,).
-    every = math.ceil(len(filtered.starts) / _EXPECTED_STARTS)
-    starts = filtered.starts[::every]
+    stride = math.ceil(len(filtered.starts) / _EXPECTED_STARTS)
+    starts = filtered.starts[::stride]
     ensemble = _Ensemble(twin, disturbances, filtered, starts)
     covariance: Floats = np.array([start.covariance for start in starts])
     nx, order = twin.states, covariance.shape[1]

@@ -256,9 +256,9 @@ def _run_on_workers(
             unusable.add(worker)
             if not note and not {*client.scheduler_info()["workers"]} - unusable:
                 raise CampaignError("no worker is left that has this code", _NO_WORKER_REMEDY) from None
-            again = submit(job)
-            job_of_task[again] = job
-            completed.add(again)
+            second_task = submit(job)
+            job_of_task[second_task] = job
+            completed.add(second_task)
         except KilledWorker:
             failure = "worker after worker was lost under it"
         except Exception as error:  # noqa: BLE001 - whatever a worker raises belongs to the case
