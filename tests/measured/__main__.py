@@ -217,7 +217,7 @@ def _gain_lines(horizons: Mapping[str, Any]) -> Iterator[str]:
             )
 
 
-def _confirmed(cause: dict[str, Any]) -> str:
+def _confirmed(cause: Mapping[str, Any]) -> str:
     """Whether a cause is confirmed, if that was tested."""
     if "confirmed" not in cause:
         return ""

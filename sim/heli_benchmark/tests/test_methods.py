@@ -36,7 +36,7 @@ CAUSES = Causes(
     },
 )
 RIG = load_rig("makki2024")
-SCALES = Standardisation(np.ones(3), np.zeros(8), np.ones(8))
+SCALES = Standardisation(np.ones(3), feature_mean=np.zeros(8), feature_std=np.ones(8))
 NO_EXTRA = "skipped: the extra `benchmark` is not installed"
 
 
@@ -54,13 +54,14 @@ def flown(stiffness: float) -> Flight:
     state, rows = np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.2]), []
     for k in range(len(t_s)):
         # Pitch and elevation are held near level by proportional and derivative gains.
-        both = -6.0 * state[0] - 4.0 * state[3]
-        apart = -3.0 * (state[1] + 0.4 * state[2] + 0.6 * state[5]) - 1.5 * state[4]
-        volts = hover_V + np.array([both + apart, both - apart]) + excited_V[:, k]
-        rows.append((*volts, *state[:3]))
-        pushed = 0.002 * rng.standard_normal(3)
+        elevation, pitch, travel, elevation_rate, pitch_rate, travel_rate = state
+        mean_V = -6.0 * elevation - 4.0 * elevation_rate
+        difference_V = -3.0 * (pitch + 0.4 * travel + 0.6 * travel_rate) - 1.5 * pitch_rate
+        volts = hover_V + np.array([mean_V + difference_V, mean_V - difference_V]) + excited_V[:, k]
+        rows.append((*volts, elevation, pitch, travel))
+        random_rate_changes = 0.002 * rng.standard_normal(3)
         state = state + 0.01 * np.asarray(rates(state, volts, values)).ravel()
-        state[3:] += pushed
+        state[3:] += random_rate_changes
     return Flight(t_s, *np.ascontiguousarray(np.array(rows).T))
 
 
@@ -68,7 +69,7 @@ def flown(stiffness: float) -> Flight:
 @pytest.mark.parametrize("stiffness", [0.0, 0.5])
 def test_stepwise_regression_names_a_spring_if_there_is_one(stiffness: float) -> None:
     flight = flown(stiffness)
-    case = BenchmarkCase("case", RIG, (flight,), (flight,), CAUSES)
+    case = BenchmarkCase("case", rig=RIG, training=(flight,), validation=(flight,), causes=CAUSES)
     answer = check_answer(stepwise.diagnose(case), CAUSES, "stepwise")
     assert answer.equation_torques == {}
     if stiffness:
@@ -85,7 +86,7 @@ def test_the_terms_of_an_unlisted_cause_give_its_torques() -> None:
     flight = flown(0.5)
     rates = {name: rate for name, rate in RATES.items() if name != SPRING}
     unaware = Causes(rates, {name: of for name, of in CAUSES.parameters.items() if name != SPRING})
-    case = BenchmarkCase("case", RIG, (flight,), (flight,), unaware)
+    case = BenchmarkCase("case", rig=RIG, training=(flight,), validation=(flight,), causes=unaware)
     answer = check_answer(stepwise.diagnose(case), unaware, "stepwise")
     assert answer.probabilities[UNLISTED] > 0.9
     assert answer.equation.startswith("travel torque: -")
@@ -99,10 +100,10 @@ def test_the_terms_of_an_unlisted_cause_give_its_torques() -> None:
 @pytest.mark.medium
 def test_an_equation_of_an_acceleration_becomes_a_torque_by_the_inertia() -> None:
     flight = flown(0.0)
-    case = BenchmarkCase("case", RIG, (flight,), (flight,), CAUSES)
+    case = BenchmarkCase("case", rig=RIG, training=(flight,), validation=(flight,), causes=CAUSES)
     none = np.zeros((1, 3))
     # The feature is travel in units of 0.1 rad, and the residual has the unit 2 rad/s2.
-    scales = Standardisation(np.full(3, 2.0), np.zeros(8), np.full(8, 0.1))
+    scales = Standardisation(np.full(3, 2.0), feature_mean=np.zeros(8), feature_std=np.full(8, 0.1))
     regression = ResidualRegression(none[0], none, [], none, none, {}, scales)
     content = torques_of_accelerations(case, regression, {2: lambda features: -features[:, 2]})
     of = content["equation_torques"]["validation-1"]
@@ -143,7 +144,7 @@ def test_lisdd_names_the_term_that_acts_in_one_regime(size: float, monkeypatch: 
     terms = [Term(name, (), columns[:, [i]]) for i, name in enumerate(names)]
     regression = ResidualRegression(target, nuisance, terms, np.zeros((1, 3)), features, priors, SCALES)
     monkeypatch.setattr(lisdd, "residual_regression", lambda case: regression)
-    answer = lisdd.diagnose(BenchmarkCase("case", RIG, (), (), CAUSES))
+    answer = lisdd.diagnose(BenchmarkCase("case", rig=RIG, training=(), validation=(), causes=CAUSES))
     named = [name for name, p in answer["probabilities"].items() if p > 0.5 and name != NOTHING]
     assert named == (["travel_drag_quadratic"] if size else [])
 
@@ -189,7 +190,7 @@ def test_our_probabilities_of_a_verdict_follow_from_base_rates_and_its_shares() 
 
 
 def test_base_rates_are_the_answer_without_a_look_at_the_flights() -> None:
-    case = BenchmarkCase("case", RIG, (), (), CAUSES)
+    case = BenchmarkCase("case", rig=RIG, training=(), validation=(), causes=CAUSES)
     assert base_rates.diagnose(case)["probabilities"] == RATES
 
 
@@ -199,7 +200,7 @@ def test_our_answer_has_the_rig_that_predicts_with_the_torques_of_its_flights(
 ) -> None:
     diagnosis, (fit, held_out) = diagnosed("rotor_lag=0.06"), flights("rotor_lag=0.06")
     monkeypatch.setattr(ours, "lab_diagnose", lambda *args, **kwargs: diagnosis)
-    case = BenchmarkCase("case", RIG, (fit,), (held_out,), CAUSES)
+    case = BenchmarkCase("case", rig=RIG, training=(fit,), validation=(held_out,), causes=CAUSES)
     parameters = check_answer(ours.diagnose(case), CAUSES, "ours").parameters
     extended = diagnosis.rig("extended")
     constants = {f"torque_{axis}" for axis in AXES} | {"offset_elevation", "offset_pitch"}
@@ -224,7 +225,9 @@ def test_our_answer_gives_the_sizes_of_both_parts_of_a_lag_with_delay(
     causes = Causes(
         {**RATES, "input_delay": 0.1}, {**CAUSES.parameters, "input_delay": {"input_delay_s": "s"}}
     )
-    answer = ours.diagnose(BenchmarkCase("case", RIG, (fit,), (held_out,), causes))
+    answer = ours.diagnose(
+        BenchmarkCase("case", rig=RIG, training=(fit,), validation=(held_out,), causes=causes)
+    )
     parameters = check_answer(answer, causes, "ours").parameters
     assert (parameters["rotor_lag_s"].value, parameters["input_delay_s"].value) == (0.05, 0.01)
 
@@ -241,6 +244,8 @@ def test_an_alternative_is_never_more_probable_in_our_answer_than_the_cause(
     monkeypatch.setattr(ours, "lab_diagnose", lambda *args, **kwargs: diagnosis)
     monkeypatch.setattr(ours, "to_json", lambda _: {**result, "causes": [lag]})
     causes = Causes({**RATES, "input_delay": 0.1}, CAUSES.parameters)
-    probabilities = ours.diagnose(BenchmarkCase("case", RIG, (fit,), (held_out,), causes))["probabilities"]
+    probabilities = ours.diagnose(
+        BenchmarkCase("case", rig=RIG, training=(fit,), validation=(held_out,), causes=causes)
+    )["probabilities"]
     assert probabilities["rotor_lag"] == pytest.approx(confidence)
     assert probabilities["input_delay"] == pytest.approx(of_other)
