@@ -82,7 +82,7 @@ def co_simulated(path: Path, folder: Path, volts_V: Floats, ticks: int = 1) -> F
     return np.array(matches)
 
 
-def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[Floats, int]:
+def by_model_exchange(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[Floats, int]:
     """Measured angles at the end of each millisecond, integrated by Runge and Kutta's fourth order here, and
     how many events there were.
     """
@@ -102,13 +102,14 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
         return np.array(rates[:])
 
     def event() -> float:
+        """Handle an event, and return the time of the next one."""
         _, _, _, _, due, next_s = model.updateDiscreteStates()
         model.enterContinuousTimeMode()
         model.getContinuousStates(buffer, states)
         return float(next_s) if due else np.inf
 
-    next_s, events = event(), 1
-    matches = []
+    next_event_s, events = event(), 1
+    measured = []
     for row in range(len(volts_V)):
         at_s, h = row * STEP_S, STEP_S
         x = np.array(buffer[:])
@@ -123,13 +124,13 @@ def exchanged(path: Path, folder: Path, volts_V: Floats, states: int) -> tuple[F
         # The voltages that act from here on are there before the event, as an importer has it.
         model.setFloat64(VOLTAGES, volts_V[min(row + 1, len(volts_V) - 1)].tolist())
         model.getEventIndicators(indicators, 6)
-        if next_s <= at_s + h + 1e-9 or min(indicators[:]) <= 0.0:
+        if next_event_s <= at_s + h + 1e-9 or min(indicators[:]) <= 0.0:
             model.enterEventMode()
-            next_s, events = event(), events + 1
-        matches.append(model.getFloat64(OUTPUTS))
+            next_event_s, events = event(), events + 1
+        measured.append(model.getFloat64(OUTPUTS))
     model.terminate()
     model.freeInstance()
-    return np.array(matches), events
+    return np.array(measured), events
 
 
 pytest.importorskip("fmpy", reason="skipped: no fmpy")
@@ -174,7 +175,7 @@ def test_fmpy_finds_no_problem_and_both_interfaces_fly_the_plant(case: str, tmp_
     # It flies: up from where it rested, and through its stops where the rig has it so.
     assert np.ptp(expected[:, 0]) > 0.1 and np.ptp(expected[:, 1]) > 0.01
     np.testing.assert_allclose(co_simulated(path, tmp_path / "cs", volts_V), expected, rtol=0, atol=1e-9)
-    exchange_angles, events = exchanged(path, tmp_path / "me", volts_V, len(plant.model.states))
+    exchange_angles, events = by_model_exchange(path, tmp_path / "me", volts_V, len(plant.model.states))
     np.testing.assert_allclose(exchange_angles, expected, rtol=0, atol=1e-9)
     assert (events >= len(volts_V)) == (case == "sampled")
 

@@ -41,11 +41,13 @@ class NoiseCase(DisturbedCase):
 def noise_case(seed: int) -> NoiseCase:
     """Draw the case of a `seed`."""
     rng = Stream.NOISE_CASE.rng(seed)
-    kind, causes = NOISE_KINDS[seed % len(NOISE_KINDS)], max(0, seed // len(NOISE_KINDS) % 4 - 1)
+    # The seeds count through the kinds, then through the causes: none twice, one cause, two causes.
+    kind = NOISE_KINDS[seed % len(NOISE_KINDS)]
+    cause_count = max(0, seed // len(NOISE_KINDS) % 4 - 1)
     names: tuple[str, ...] = ()
-    if causes == 1:
+    if cause_count == 1:
         names = (str(rng.choice(_ALONE)),)
-    elif causes:
+    elif cause_count == 2:
         names = (LAG, str(rng.choice(_WITH_LAG)))
     return NoiseCase(
         name=f"noise-{kind}-{'+'.join(names) or 'nothing'}-{seed}",

@@ -82,7 +82,7 @@ def judge_replacement(
 ) -> dict[str, Any]:
     """Diagnose a case without its last effect in the catalogue, and judge the equation that replaces it."""
     rig = load_rig(case.rig_name)
-    name = case.effects[-1][0]
+    *_, (name, _) = case.effects
     diagnosis = run_diagnosis(rig, flights, refits, (name, *REMOVED[name]))
     proposed = diagnosis.proposed_term
     records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]

@@ -82,7 +82,7 @@ class LogCase:
     rate_Hz: float  # Sampling rate that the user gives; 0 if the file has times
     known_columns: Mapping[str, str]  # Columns that the user states in a profile, by role
     row_faults: tuple[str, ...]  # Faults of the lines, applied when the file is written
-    dialect: str  # Dialect of a text
+    dialect: str  # Two characters: separator and decimal sign of a text
 
     @property
     def name(self) -> str:

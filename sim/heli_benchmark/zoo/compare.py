@@ -149,7 +149,9 @@ def _voltage_mistakes(
             true = _last_value(samples, at_s[rows] - lag_s)
             errors.append(float(np.mean((imported - true) ** 2)))
         lag_s = float(lags_s[int(np.argmin(errors))])
-        if errors[30] < 1.15 * min(errors):
+        # No lag is assumed if the voltages agree nearly as well without it.
+        error_without_lag = errors[int(np.argmin(np.abs(lags_s)))]
+        if error_without_lag < 1.15 * min(errors):
             lag_s = 0.0
         true = _last_value(samples, at_s[rows] - lag_s)
         spread = max(float(np.std(true)), 1e-9)
@@ -162,8 +164,8 @@ def _voltage_mistakes(
         if abs(mean_scale - 1.0) > limit + 2.0 * step / max(abs(float(true.mean())), spread):
             differences.append(f"{motor}: scale {mean_scale:.3g}")
         else:
-            near = mean_scale * _values_near(samples, at_s[rows] - lag_s, truth.time_tolerance_s)
-            error_V = float(np.sqrt(np.mean(np.abs(imported - near).min(axis=0) ** 2)))
+            neighbours = mean_scale * _values_near(samples, at_s[rows] - lag_s, truth.time_tolerance_s)
+            error_V = float(np.sqrt(np.mean(np.abs(imported - neighbours).min(axis=0) ** 2)))
             if error_V > _VOLTAGE_RMS * spread + 2.0 * step:
                 differences.append(f"{motor}: values differ by {error_V:.2f} V rms")
                 continue
