@@ -91,7 +91,8 @@ def test_calibration_finds_zeros_and_torques_of_the_day() -> None:
         # The board zeroes an encoder in whole counts, so each flight has an unknown part of a count.
         slack = 0.09 if name in ZEROS_deg else 0.0
         assert abs(value - truth) < 3.0 * std + slack, name
-    assert abs(constants["torque_pitch"][0]) > 10.0 * constants["torque_pitch"][1]
+    torque_Nm, std_Nm = constants["torque_pitch"]
+    assert abs(torque_Nm) > 10.0 * std_Nm
 
 
 def test_calibrated_prediction_has_errors_of_quantisation_only() -> None:

@@ -49,6 +49,8 @@ class Processor:
 
     def _cells_offset(self, _: int) -> int:
         """Where in the object the cells are: the last of it, found by writing a number and copying it."""
+        # At each place in turn, a number is written there, and the program copies cell 0 to cell 1. Cell 0 is
+        # there if the number is then in the word behind it.
         word = operation_word(code=0, target=1)
         self.core.write(PROGRAM, word.to_bytes(4, "little"))
         for offset in range(0, 0x2000, 4):

@@ -303,18 +303,19 @@ def test_a_rigs_file_with_a_wrong_effect_is_refused(
 @pytest.mark.medium
 def test_voltages_act_late_by_a_part_of_a_millisecond_too() -> None:
     rig = load_rig("makki2024")
-    late, prompt = (
-        Plant(MultibodyModel(parse_effects(["input_delay=0.0025"])), rig),
-        Plant(MultibodyModel(), rig),
-    )
-    x, y = late.rest_state(), prompt.rest_state()
-    x[0] = y[0] = 0.0
+    delayed = Plant(MultibodyModel(parse_effects(["input_delay=0.0025"])), rig)
+    undelayed = Plant(MultibodyModel(), rig)
+    delayed_state, state = delayed.rest_state(), undelayed.rest_state()
+    delayed_state[0] = state[0] = 0.0
     volts_V = np.vstack((np.zeros((5, 2)), np.full((20, 2), 3.0)))
     for tick, commanded in enumerate(volts_V):
+        # A delay of 2.5 ms: half of each millisecond has the command of 2 ms ago, half that of 3 ms ago.
         acting_V = 0.5 * (volts_V[max(tick - 2, 0)] + volts_V[max(tick - 3, 0)])
-        (x, _), (y, _) = late.step(x, commanded), prompt.step(y, acting_V)
-    np.testing.assert_array_equal(x[:6], y)
-    assert y[3] > 1e-3
+        delayed_state, _ = delayed.step(delayed_state, commanded)
+        state, _ = undelayed.step(state, acting_V)
+    np.testing.assert_array_equal(delayed_state[:6], state)
+    elevation_rate_rad_s = state[3]
+    assert elevation_rate_rad_s > 1e-3
 
 
 @pytest.mark.medium

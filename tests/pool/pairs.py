@@ -54,7 +54,7 @@ _NORMAL: Final = {
 class RigCase(DisturbedCase):
     """Simulated rig of a random rig type."""
 
-    population: int
+    population: int  # Seed of its type
 
     def rig(self) -> Rig:
         """Draw the rig type about the rig file, and the rig from its type."""
@@ -81,23 +81,23 @@ def pair_cases(number: int) -> tuple[RigCase, RigCase]:
     """Return the cases of a pair: the excited rig and the gentle one."""
     rng, lag_s = _drawn(number)
     both = []
-    for which in range(2):
+    for place, word in enumerate(("lively", "gentle")):
         lag_of_rig_s = float(lag_s * np.exp(_LAG_BETWEEN_RIGS * rng.standard_normal()))
         both.append(
             RigCase(
-                f"pair-{number}-{('lively', 'gentle')[which]}",
-                ((_LAG, lag_of_rig_s),),
-                (),
-                8000 + 2 * number + which,
-                (RotorLag,),
-                "makki2024",
-                100,
-                bool(which),
-                CONTROLLERS[int(rng.integers(3))],
-                DisturbanceModel(
+                f"pair-{number}-{word}",
+                effects=((_LAG, lag_of_rig_s),),
+                unlisted=(),
+                seed=8000 + 2 * number + place,
+                makers=(RotorLag,),
+                rig_name="makki2024",
+                rate_Hz=100,
+                gentle=word == "gentle",
+                controller=CONTROLLERS[int(rng.integers(3))],
+                disturbances=DisturbanceModel(
                     STRENGTHS_Nm[int(rng.integers(3))], CORRELATION_TIMES_s[int(rng.integers(3))]
                 ),
-                8000 + number,
+                population=8000 + number,
             )
         )
     return both[0], both[1]
@@ -105,7 +105,9 @@ def pair_cases(number: int) -> tuple[RigCase, RigCase]:
 
 def true_population(number: int) -> Rig:
     """Return the true rig type of a pair; tolerances are twice the standard deviation between its rigs."""
-    population, lag_s = pair_cases(number)[0].type_rig(), _drawn(number)[1]
+    excited, _ = pair_cases(number)
+    population = excited.type_rig()
+    _, lag_s = _drawn(number)
     numbers = dict(population.numbers)
     for name, std in _NORMAL.items():
         value = population[name].value

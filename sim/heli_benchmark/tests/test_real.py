@@ -96,6 +96,8 @@ def test_each_effect_changes_the_log(effect: KnownEffect) -> None:
 def test_ten_percent_of_voltage_are_more_thrust_where_it_is_the_square(
     others: tuple[dict[str, Any], ...], id_: str, suffix: str, truth: float
 ) -> None:
+    # With the square, 10 % more and less voltage are thrusts of 1.21 and 0.81. A size is right within two
+    # standard errors of 0.01.
     right, wrong = (cause(id_, **{suffix: (size, 0.01)}) for size in (truth + 0.019, truth + 0.021))
     assert judged(KnownEffect(id_, 0.1), answer(*others, right)).size_is_right
     assert not judged(KnownEffect(id_, 0.1), answer(*others, wrong)).size_is_right

@@ -182,6 +182,7 @@ def floating_elevation_deg(rig: Rig) -> float:
     model = MultibodyModel()
     state = np.zeros(len(model.states))
     elevations_deg = np.linspace(rig["elevation_min"].value, rig["elevation_max"].value, 101)
+    # From the table upwards: the arm rises as long as the counterweight accelerates it.
     for elevation_deg in elevations_deg:
         state[0] = np.radians(elevation_deg)
         if derivatives(model, rig, state, [0.0, 0.0]).rates[_ELEVATION_RATE] <= 0.0:
