@@ -60,7 +60,7 @@ def _number(value: float, decimals: int) -> str:
 
 def _write_text(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
     recording = case.recording
-    separator, decimal = case.dialect
+    separator, decimal = tuple(case.dialect)
     names, cells = _text_cells(recording)
     if separator == " ":
         names = [name.replace(" ", "_") for name in names]
