@@ -98,15 +98,15 @@ def drawing() -> str:
         arc(end_m, (0, -0.2, 0), (0, 0, 0.2), -24, 40),
     ]
     labels = [
-        text(*_offset(seen((-0.16, -0.2, 0.16)), -52, 12), "travel", AXIS, bold=True),
-        text(*_offset(seen((0.4, 0, z + 0.2)), -44, -14), "elevation", AXIS, bold=True),
-        text(*_offset(seen((ARM_M, -0.2, z)), -50, 44), "pitch", AXIS, bold=True),
-        text(*_offset(seen(tail_m), 0, -30), "counterweight", WEIGHT),
-        text(*_offset(seen((-0.2, 0, z)), 6, 30), "long arm", STEEL),
-        text(*_offset(seen((ARM_M, 0.08, z)), 56, 6), "short arm", STEEL),
-        text(*_offset(seen(front_m), 40, 52), "front rotor", FRONT),
-        text(*_offset(seen(back_m), 0, -92), "back rotor", BACK),
-        text(*_offset(seen((0, 0, 0.3)), 32, 6), "post", STEEL),
+        text(*_offset(seen((-0.16, -0.2, 0.16)), right_px=-52, down_px=12), "travel", AXIS, bold=True),
+        text(*_offset(seen((0.4, 0, z + 0.2)), right_px=-44, down_px=-14), "elevation", AXIS, bold=True),
+        text(*_offset(seen((ARM_M, -0.2, z)), right_px=-50, down_px=44), "pitch", AXIS, bold=True),
+        text(*_offset(seen(tail_m), right_px=0, down_px=-30), "counterweight", WEIGHT),
+        text(*_offset(seen((-0.2, 0, z)), right_px=6, down_px=30), "long arm", STEEL),
+        text(*_offset(seen((ARM_M, 0.08, z)), right_px=56, down_px=6), "short arm", STEEL),
+        text(*_offset(seen(front_m), right_px=40, down_px=52), "front rotor", FRONT),
+        text(*_offset(seen(back_m), right_px=0, down_px=-92), "back rotor", BACK),
+        text(*_offset(seen((0, 0, 0.3)), right_px=32, down_px=6), "post", STEEL),
         text(160, 385, "Blue arrows: positive directions", AXIS),
     ]
     heads = "".join(

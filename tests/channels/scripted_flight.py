@@ -42,10 +42,19 @@ STEPS = 200
 """20 s, in messages every 0.1 s."""
 
 SCRIPT: dict[int, Any] = {
-    0: HelloMessage(1, LINK_HASH, 7),
+    0: HelloMessage(request=1, link_hash=LINK_HASH, session=7),
     5: ArmMessage(2),
-    6: ControlMessage(3, int(ALL_AXES), 0.0, 0.0),
-    90: ExciteMessage(4, int(Excitation.PRBS), 0.3, 0.2, 0.0, 8.0, 3.0, 5),
+    6: ControlMessage(request=3, axes=int(ALL_AXES), front_V=0.0, back_V=0.0),
+    90: ExciteMessage(
+        request=4,
+        kind=int(Excitation.PRBS),
+        front_V=0.3,
+        back_V=0.2,
+        start_Hz=0.0,
+        stop_Hz=8.0,
+        duration_s=3.0,
+        seed=5,
+    ),
     140: LandMessage(5),
     188: ArmMessage(6),
 }

@@ -138,17 +138,17 @@ def healthy_lines(rigs: int) -> list[str]:
         ]
         warned = sum(flight.warned is not None for flight in flown)
         with_estimates = [flight for flight in flown if flight.estimates]
-        cells = []
+        distances, standard_errors = [], []
         for place, axis in enumerate(AXES):
             of_axis = [flight.estimates[place] for flight in with_estimates]
-            most = max(map(distance_from_one, of_axis), default=0.0)
+            largest_distance = max(map(distance_from_one, of_axis), default=0.0)
             errors = [estimate.standard_error for estimate in of_axis]
             error = float(np.median(errors)) if errors else np.nan
             shown = f"{error:.3f}" if np.isfinite(error) else "not visible"
-            cells.append((f"{axis} {most:.1f}", f"{axis} {shown}"))
+            distances.append(f"{axis} {largest_distance:.1f}")
+            standard_errors.append(f"{axis} {shown}")
         lines.append(
-            f"| {plan} | {len(flown)} | {warned} | {', '.join(a for a, _ in cells)} "
-            f"| {', '.join(b for _, b in cells)} |"
+            f"| {plan} | {len(flown)} | {warned} | {', '.join(distances)} | {', '.join(standard_errors)} |"
         )
         print(lines[-1], flush=True)
     return lines

@@ -209,21 +209,25 @@ def _judged(
     truth: npt.NDArray[np.float64],
     stops_deg: Sequence[float],
 ) -> Seen:
-    tick, state, fault = telemetry[:, 0], telemetry[:, 1], telemetry[:, 2]
+    """Compare telemetry (tick, state, fault, setpoints [rad]) with the truth (tick, angles [rad])."""
+    tick, state, fault = telemetry[:, :3].T
+    setpoints_rad = telemetry[:, 3:]
+    true_tick, true_rad = truth[:, 0], truth[:, 1:]
     closed = np.isin(state, _CLOSED)
     if not closed.any():
-        return Seen(case, outcome, np.inf, 0.0, False)
+        return Seen(case, outcome, acted_s=np.inf, away_deg=0.0, stop=False)
     begin = max(1e3 * case.at_s, tick[closed][0])
     reports = tick[(tick >= begin) & (fault != 0)]
     acted_s = 1e-3 * float(reports[0] - begin) if len(reports) else np.inf
     end = reports[0] if len(reports) else tick[closed][-1]
-    during = (truth[:, 0] >= begin) & (truth[:, 0] <= end)
+    during = (true_tick >= begin) & (true_tick <= end)
     if not case.kind or not during.any():
-        return Seen(case, outcome, acted_s, 0.0, False)
-    true_deg = np.degrees(truth[during, 1:])
+        return Seen(case, outcome, acted_s, away_deg=0.0, stop=False)
+    true_deg = np.degrees(true_rad[during])
     axis = max(0, _KINDS[case.kind][0])
-    setpoint_deg = np.degrees(np.interp(truth[during, 0], tick, telemetry[:, 3 + axis]))
+    setpoint_deg = np.degrees(np.interp(true_tick[during], tick, setpoints_rad[:, axis]))
     touched = np.abs(true_deg) > np.array(stops_deg) - _STOP_MARGIN_DEG
+    # The lower stop of elevation is the table, which does no harm.
     touched[:, 0] = true_deg[:, 0] > stops_deg[0] - _STOP_MARGIN_DEG
     away_deg = float(np.max(np.abs(true_deg[:, axis] - setpoint_deg)))
     return Seen(case, outcome, acted_s, away_deg, bool(touched.any()))

@@ -193,20 +193,20 @@ def outcome_of_case(case: Case, struck: Struck, summary: FlightSummary | None) -
     downs = [event.tick for event in events if event.detail in _DOWN]
     off_s = max(0.001, 1e-3 * (max([struck.last_on_tick, *downs[:1]]) - begin_tick))
     completed = summary is not None and summary.completed
-    acted_s, does = _deeds(events, begin_tick, off_s, completed=completed)
+    acted_s, does = _first_act_and_deeds(events, begin_tick, off_s, completed=completed)
     if case.as_if is not None:
         acted_s, does = 0.0, f"{case.as_if}, motors off after {off_s:.1f} s"
     return Outcome(
-        summary.outcome if summary is not None else "",
-        acted_s,
-        off_s,
-        does,
-        list(struck.world.native.volts_V),
-        struck.states[-1].detail,
+        says=summary.outcome if summary is not None else "",
+        acted_s=acted_s,
+        off_s=off_s,
+        does=does,
+        volts_V=list(struck.world.native.volts_V),
+        state=struck.states[-1].detail,
     )
 
 
-def _deeds(
+def _first_act_and_deeds(
     events: list[EventMessage], begin_tick: int, off_s: float, *, completed: bool
 ) -> tuple[float, str]:
     """When the board acted first [s], 0 where it had not to, and what it did."""
@@ -322,7 +322,7 @@ def full_receiver(struck: Struck, ms: int) -> bytes:
     """Send without a pause while the processor stands still, more than the receiver's ring takes."""
     if ms in (0, _STANDS_STILL_MS):
         due_of(struck.world).sim.due.hold_processor(ms == 0)
-    ping = encode_frame(MessageId.PING, 0, PingMessage(0, 0).pack())
+    ping = encode_frame(message_id=MessageId.PING, seq=0, payload=PingMessage(0, 0).pack())
     return ping * (_LINE_BYTES_PER_MS // len(ping)) if ms < _STANDS_STILL_MS else b""
 
 

@@ -110,6 +110,7 @@ def flown(case: Case) -> Flown:
         with connect(f"sil://?speed=max&{'&'.join(options)}") as heli:
             world = world_of(heli)
             advance = world.advance
+            # The arm turns in one tick while the encoder does not count, and back in the next, while it does.
             jump_ticks = [] if case.axis < 0 else [round(1e3 * case.at_s) + k for k in range(2)]
 
             def note() -> None:
@@ -143,28 +144,37 @@ def flown(case: Case) -> Flown:
 def _judged(
     outcome: str, telemetry: npt.NDArray[np.float64], truth: npt.NDArray[np.float64], end: int
 ) -> Flown:
-    tick, state, fault, volts_V = telemetry[:, :4].T
+    """Compare the rows that `flown` records; `end` is the row of `truth` at which the flight ended."""
+    tick, state, fault, volts_V, *read_deg = telemetry.T
+    true_tick, true_elevation_deg, true_pitch_deg, true_travel_deg, true_volts_V = truth.T
     closed = np.flatnonzero(state == _CLOSED)
     faults = np.flatnonzero(fault != 0)
     wrong_deg = np.zeros(3)
     if len(closed):
         last = closed[-1]
-        true_deg = [np.interp(tick[last], truth[:, 0], truth[:, 1 + k]) for k in range(3)]
-        wrong_deg = np.array(true_deg) - telemetry[last, 4:7]
-    on = np.flatnonzero(truth[:, 4] > 0.0)
+        true_deg = (true_elevation_deg, true_pitch_deg, true_travel_deg)
+        wrong_deg = np.array(
+            [
+                np.interp(tick[last], true_tick, true) - read[last]
+                for true, read in zip(true_deg, read_deg, strict=True)
+            ]
+        )
+    on = np.flatnonzero(true_volts_V > 0.0)
     drop_deg = 0.0
     if len(on):
         off = min(on[-1] + 1, len(truth) - 1)
-        drop_deg = float(truth[off, 1] - truth[off:, 1].min())
-    first = faults[0] if len(faults) else len(tick)
+        drop_deg = float(true_elevation_deg[off] - true_elevation_deg[off:].min())
+    first_fault = faults[0] if len(faults) else len(tick)
     return Flown(
-        outcome,
-        wrong_deg,
-        drop_deg,
-        float(np.abs(truth[:end, 2]).max()),
-        float(np.abs(truth[:end, 3]).max()),
-        1e-3 * float(tick[first] - tick[closed[0]]) if len(faults) and len(closed) else np.inf,
-        float(volts_V[:first].max(initial=0.0)),
+        outcome=outcome,
+        wrong_deg=wrong_deg,
+        drop_deg=drop_deg,
+        tilt_deg=float(np.abs(true_pitch_deg[:end]).max()),
+        travel_deg=float(np.abs(true_travel_deg[:end]).max()),
+        closed_s=(
+            1e-3 * float(tick[first_fault] - tick[closed[0]]) if len(faults) and len(closed) else np.inf
+        ),
+        most_V=float(volts_V[:first_fault].max(initial=0.0)),
     )
 
 

@@ -84,7 +84,7 @@ def test_a_disk_that_blocks_for_seconds_is_not_noticed_by_the_board(
 
         def device_s() -> float:
             newest = heli.session.latest
-            return 1e-3 * newest[0] if newest is not None else 0.0
+            return 1e-3 * newest.tick if newest is not None else 0.0
 
         blocking = BlockingDisk(device_s)
 

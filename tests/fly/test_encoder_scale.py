@@ -183,14 +183,18 @@ def test_the_most_likely_of_several_axes_is_named() -> None:
     def estimate(axis: str, scale: float, error: float, nats: float) -> ScaleEstimate:
         return ScaleEstimate(axis, scale, error, nats)
 
-    wrong = wrong_scale([estimate("elevation", 0.8, 0.01, 20.0), estimate("travel", 0.5, 0.02, 90.0)])
-    assert wrong is not None and wrong.axis == "travel"
-    # One is far from 1 by its small error only; the other is not more likely than 1.
-    assert wrong_scale([estimate("pitch", 0.2, 0.3, 80.0), estimate("travel", 0.5, 0.02, 1.0)]) is None
+    likely = estimate("elevation", scale=0.8, error=0.01, nats=20.0)
+    most_likely = estimate("travel", scale=0.5, error=0.02, nats=90.0)
+    assert wrong_scale([likely, most_likely]) is most_likely
+    uncertain = estimate("pitch", scale=0.2, error=0.3, nats=80.0)
+    no_likelier_than_1 = estimate("travel", scale=0.5, error=0.02, nats=1.0)
+    assert wrong_scale([uncertain, no_likelier_than_1]) is None
     assert "it counts 0.498 ± 0.008 (1 standard error)" in warning_text(
-        estimate("travel", 0.4981, 0.0083, 90.0)
+        estimate("travel", scale=0.4981, error=0.0083, nats=90.0)
     )
-    assert "it counts 0.50 ± 0.03 (1 standard error)" in warning_text(estimate("travel", 0.5, 0.03, 90.0))
+    assert "it counts 0.50 ± 0.03 (1 standard error)" in warning_text(
+        estimate("travel", scale=0.5, error=0.03, nats=90.0)
+    )
 
 
 def test_test_functions_give_means_and_second_derivatives() -> None:

@@ -311,7 +311,7 @@ def test_an_axis_that_rests_more_than_a_degree_off_is_named(
 def test_a_tilt_of_the_hover_that_friction_holds_is_not_accused(hover_deg: float, is_shifted: bool) -> None:
     hover = HoverTilt(COUNT_DEG)
     hover.mean_deg = hover_deg
-    text = replace(BEFORE, hover=hover).shift_after(after(-25.0, -8.9))
+    text = replace(BEFORE, hover=hover).shift_after(after(elevation_deg=-25.0, pitch_deg=-8.9))
     assert text is not None
     assert bool(text) is is_shifted
 
@@ -320,7 +320,10 @@ def test_a_short_arm_that_drifts_before_the_take_off_has_no_rest_to_compare_with
     # On a healthy rig whose friction hides that nothing holds its short arm, half a second shows one count.
     flown_by_plan(perturbed(9342), 9342, PLAN, parameters={"travel_following_max_deg": 180.0})
     with heli_host.connect("sil://") as heli:
-        drift, still = (after(-25.0, lambda t_s, w=rate: w * t_s, 2.0) for rate in (-0.18, 0.0))
+        drift, still = (
+            after(elevation_deg=-25.0, pitch_deg=lambda t_s, w=rate: w * t_s, length_s=2.0)
+            for rate in (-0.18, 0.0)
+        )
         for seen, is_moving in ((drift, True), (still, False)):
             assert np.isnan(RestAngles.of(heli.latest, seen, COUNT_DEG).pitch_deg) == is_moving
 
@@ -336,26 +339,28 @@ def test_a_short_arm_that_drifts_is_armed_at_any_time() -> None:
 
 
 def test_an_arm_that_floats_up_without_voltage_is_not_accused() -> None:
-    floating = after(lambda t_s: -23.7 + np.minimum(5.0, 3.0 * t_s), 0.0)
+    floating = after(elevation_deg=lambda t_s: -23.7 + np.minimum(5.0, 3.0 * t_s), pitch_deg=0.0)
     assert BEFORE.shift_after(floating) == ""
 
 
 def test_a_swing_about_the_old_angle_is_waited_for_and_not_accused() -> None:
     swing = lambda t_s: 3.0 * np.exp(-t_s / 2.0) * np.cos(2.0 * t_s)  # noqa: E731
-    assert BEFORE.shift_after(after(-25.0, swing, 1.0)) is None
-    assert BEFORE.shift_after(after(-25.0, swing)) == ""
+    assert BEFORE.shift_after(after(elevation_deg=-25.0, pitch_deg=swing, length_s=1.0)) is None
+    assert BEFORE.shift_after(after(elevation_deg=-25.0, pitch_deg=swing)) == ""
 
 
 def test_a_swing_about_another_angle_is_found_although_it_begins_at_the_old_one() -> None:
     swing = lambda t_s: 3.0 - 3.0 * np.exp(-t_s / 2.0) * np.cos(2.0 * t_s)  # noqa: E731
-    assert BEFORE.shift_after(after(-25.0, swing, 1.0)) is None
-    text = BEFORE.shift_after(after(-25.0, swing))
+    assert BEFORE.shift_after(after(elevation_deg=-25.0, pitch_deg=swing, length_s=1.0)) is None
+    text = BEFORE.shift_after(after(elevation_deg=-25.0, pitch_deg=swing))
     assert text and "pitch" in text
 
 
 def test_an_endless_swing_is_judged_by_its_middle() -> None:
     for middle_deg, shifted in ((0.5, False), (5.0, True)):
-        text = BEFORE.shift_after(after(-25.0, lambda t_s, m=middle_deg: m + 2.0 * np.sin(3.0 * t_s)))
+        text = BEFORE.shift_after(
+            after(elevation_deg=-25.0, pitch_deg=lambda t_s, m=middle_deg: m + 2.0 * np.sin(3.0 * t_s))
+        )
         assert text is not None
         assert bool(text) is shifted
 

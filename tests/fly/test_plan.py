@@ -99,7 +99,7 @@ def test_a_sine_begins_and_ends_at_the_present_point_without_a_jump_in_rate() ->
         'kind = "hold"\nduration_s = 1',
     )
     t_s = np.arange(1.0, 37.0, 0.01)
-    travel_deg = flown.evaluate(t_s)[2]
+    travel_deg = flown.evaluate(t_s).travel_deg
     rate_deg_s = np.diff(travel_deg) / 0.01
     assert travel_deg[0] == 10.0 and travel_deg[-1] == pytest.approx(10.0)
     assert abs(rate_deg_s[0]) < 0.1 and abs(rate_deg_s[-101]) < 0.1
@@ -115,7 +115,7 @@ def test_a_frequency_is_the_inverse_of_a_period() -> None:
     by_frequency = plan('kind = "sine"\nelevation_amplitude_deg = 3\nfrequency_Hz = 0.1\nduration_s = 30')
     other = plan('kind = "sine"\nelevation_amplitude_deg = 3\nelevation_period_s = 10\nduration_s = 30')
     t_s = np.linspace(0, 30, 100)
-    np.testing.assert_allclose(by_frequency.evaluate(t_s)[0], other.evaluate(t_s)[0])
+    np.testing.assert_allclose(by_frequency.evaluate(t_s).elevation_deg, other.evaluate(t_s).elevation_deg)
 
 
 def test_waypoints_are_reached_on_time_axis_by_axis() -> None:
@@ -124,10 +124,12 @@ def test_waypoints_are_reached_on_time_axis_by_axis() -> None:
     )
     for path in ("smooth", "straight"):
         flown = plan(f'kind = "waypoints"\npath = "{path}"\n{points}\nduration_s = 12')
-        assert flown.evaluate(4.0)[2] == pytest.approx(12.0)
-        assert flown.evaluate(6.0)[0] == pytest.approx(6.0)
+        assert flown.evaluate(4.0).travel_deg == pytest.approx(12.0)
+        assert flown.evaluate(6.0).elevation_deg == pytest.approx(6.0)
         assert flown.evaluate(10.0) == pytest.approx((6.0, 0.0, -4.0))
-        assert flown.evaluate(2.0)[2] == pytest.approx(6.0) and flown.evaluate(3.0)[0] == pytest.approx(3.0)
+        assert flown.evaluate(2.0).travel_deg == pytest.approx(6.0) and flown.evaluate(
+            3.0
+        ).elevation_deg == pytest.approx(3.0)
     assert flown.duration_s == 12.0
 
 

@@ -141,7 +141,7 @@ def test_a_setpoint_that_is_no_number_is_refused_before_it_is_sent(value: object
     with heli_host.connect("sil://?seed=2") as heli:
         for call in (
             lambda: heli.take_off(elevation_deg=value),  # type: ignore[arg-type]
-            lambda: heli.voltages(value, 1.0),  # type: ignore[arg-type]
+            lambda: heli.voltages(front_V=value, back_V=1.0),  # type: ignore[arg-type]
             lambda: heli.setpoint(elevation_deg=1.0, lead_s=value),  # type: ignore[arg-type]
         ):
             with pytest.raises(HeliError):

@@ -82,11 +82,15 @@ class FakeBoard:
         """Be in another state from the next tick on; its event may be lost."""
         self.state = state
         if tell:
-            self.send(link.EventMessage(self.tick + 1, link.Event.STATE, state, link.Trigger.ARM, 0.0))
+            self.send(
+                link.EventMessage(
+                    tick=self.tick + 1, kind=link.Event.STATE, detail=state, cause=link.Trigger.ARM, value=0.0
+                )
+            )
 
     def event(self, kind: int, detail: int = 0, value: float = 0.0) -> None:
         """Report something."""
-        self.send(link.EventMessage(self.tick, kind, detail, 0, value))
+        self.send(link.EventMessage(tick=self.tick, kind=kind, detail=detail, cause=0, value=value))
 
     def send(self, message: object, tail: bytes = b"") -> None:
         """Send a message of the declaration."""
@@ -128,7 +132,15 @@ class FakeBoard:
         elif frame.id in (MessageId.SETPOINT, MessageId.VOLTAGES):
             return
         elif not self.open:
-            self.send(link.AckMessage(frame.payload[0], frame.id, Result.NO_HANDSHAKE, 0, 0.0))
+            self.send(
+                link.AckMessage(
+                    request=frame.payload[0],
+                    command=frame.id,
+                    result=Result.NO_HANDSHAKE,
+                    detail=0,
+                    value=0.0,
+                )
+            )
         elif frame.id == MessageId.PING:
             ping = link.PingMessage.unpack(frame.payload)
             self.send(link.PongMessage(ping.request, ping.host_us, self.tick))
@@ -151,19 +163,20 @@ class FakeBoard:
         result = Result.OK if self.open else Result.HASH_MISMATCH
         self.send(
             link.WelcomeMessage(
-                hello.request,
-                result,
-                self.link_hash,
-                *self.link_version,
-                0,
-                1,
-                2,
-                0,
-                2,
-                0,
-                self.boot_id,
-                self.tick,
-                0,
+                request=hello.request,
+                result=result,
+                link_hash=self.link_hash,
+                link_major=self.link_version[0],
+                link_minor=self.link_version[1],
+                firmware_major=0,
+                firmware_minor=1,
+                firmware_patch=2,
+                board=0,
+                reset=2,
+                boot_fault=0,
+                boot_id=self.boot_id,
+                tick=self.tick,
+                params_source=0,
             )
         )
 
@@ -190,7 +203,9 @@ class FakeBoard:
             self.params[message.index] = value = message.value
         if frame.id in _NEXT_STATE:
             self.state = _NEXT_STATE[MessageId(frame.id)]
-        return link.AckMessage(request, frame.id, Result.OK, 0, value).pack()
+        return link.AckMessage(
+            request=request, command=frame.id, result=Result.OK, detail=0, value=value
+        ).pack()
 
 
 class FakeLine:

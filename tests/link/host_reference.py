@@ -118,7 +118,7 @@ def telemetry_payload(
     codes = [smallest_code(column) for column in deltas] if codes is None else codes
     out = bytearray(first_tick.to_bytes(4, "little"))
     out.append(count)
-    nibbles = [*codes, 0]
+    nibbles = [*codes, 0]  # the 0 fills the last byte of an odd number of channels
     for pair in range((len(types) + 1) // 2):
         out.append(nibbles[2 * pair] + 16 * nibbles[2 * pair + 1])
     for channel, wire_type in enumerate(types):
@@ -137,10 +137,12 @@ def telemetry_samples(payload: bytes, types: list[str] = TYPES) -> tuple[int, li
     """Unpack one telemetry payload: the first tick and a row of one number a channel for each tick."""
     first_tick = int.from_bytes(payload[:4], "little")
     count = payload[4]
+    # A code of 4 bits per channel, the first in the low half of its byte: the width of its differences.
     position = 5 + (len(types) + 1) // 2
     codes = []
     for byte in payload[5:position]:
         codes += [byte % 16, byte // 16]
+    # The first tick's numbers as they are, then each channel's differences from tick to tick.
     row = []
     for wire_type in types:
         base = payload[position : position + size_of(wire_type)]

@@ -78,7 +78,9 @@ def test_a_command_reaches_the_tick_as_it_was_sent_and_its_answer_the_host(cls: 
     payload = b"\x05" + bytes(cls.STRUCT.size - 1)
     frames = harness.turn(harness.raw_frame(cls.ID, payload), ticks=2)
     assert harness.executed == [(cls.ID, payload)]
-    assert acks_in(frames) == [AckMessage(5, cls.ID, Result.BAD_STATE, 7, 2.5)]
+    assert acks_in(frames) == [
+        AckMessage(request=5, command=cls.ID, result=Result.BAD_STATE, detail=7, value=2.5)
+    ]
 
 
 @pytest.mark.parametrize("cls", COMMANDS, ids=named)
@@ -194,15 +196,15 @@ def test_a_flash_that_does_not_hold_what_was_written_is_reported(harness: Harnes
 
 
 def test_streams_reach_the_tick_unanswered_and_in_order(harness: Harness) -> None:
-    setpoint = SetpointMessage(1000, 0.25, -0.5, 1.0)
-    voltages = VoltagesMessage(3.0, 4.0, 50)
+    setpoint = SetpointMessage(apply_tick=1000, elevation_rad=0.25, pitch_rad=-0.5, travel_rad=1.0)
+    voltages = VoltagesMessage(front_V=3.0, back_V=4.0, valid_ms=50)
     frames = harness.turn(harness.frame(setpoint) + harness.frame(voltages), ticks=3)
     assert frames == []
     assert harness.streamed == [(setpoint.ID, setpoint.pack()), (voltages.ID, voltages.pack())]
 
 
 def test_of_more_streamed_values_than_the_tick_takes_the_latest_wins(harness: Harness) -> None:
-    values = [VoltagesMessage(float(k), 0.0, 50) for k in range(20)]
+    values = [VoltagesMessage(front_V=float(k), back_V=0.0, valid_ms=50) for k in range(20)]
     harness.turn(b"".join(harness.frame(value) for value in values), ticks=4)
     assert harness.streamed[-1] == (MessageId.VOLTAGES, values[-1].pack())
     assert len(harness.streamed) < 20
@@ -216,7 +218,7 @@ def test_a_stream_of_wrong_length_is_refused_and_counted(harness: Harness) -> No
 
 
 def test_streams_pass_while_a_command_is_with_the_tick(harness: Harness) -> None:
-    setpoint = SetpointMessage(0, 0.1, 0.0, 0.0)
+    setpoint = SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0)
     harness.turn(harness.frame(ArmMessage(1)) + harness.frame(setpoint), ticks=2)
     assert harness.streamed == [(setpoint.ID, setpoint.pack())]
 
@@ -262,7 +264,11 @@ def test_no_bytes_keep_the_board_from_answering_a_ping(chunks: list[bytes]) -> N
 
 
 def test_the_sequence_numbers_of_the_board_have_no_gap(harness: Harness) -> None:
-    frames = [frame for k in range(600) for frame in harness.turn(encode_frame(2, k, bytes(9)))]
+    frames = [
+        frame
+        for k in range(600)
+        for frame in harness.turn(encode_frame(message_id=2, seq=k, payload=bytes(9)))
+    ]
     assert [b.seq for b in frames] == [(frames[0].seq + k) % 256 for k in range(len(frames))]
     assert len(frames) == 600
 
@@ -308,7 +314,7 @@ def test_events_before_the_handshake_are_reported_after_it() -> None:
     for tick in range(5):
         harness.native.push_event(tick, 1)
     harness.turn(ticks=100)
-    frames = harness.turn(harness.frame(HelloMessage(1, LINK_HASH, 1)))
+    frames = harness.turn(harness.frame(HelloMessage(request=1, link_hash=LINK_HASH, session=1)))
     assert [frame.id for frame in frames] == [MessageId.WELCOME] + [MessageId.EVENT] * 5
     assert [event[0] for event in payloads_of(frames, MessageId.EVENT)] == [0, 1, 2, 3, 4]
 
@@ -457,7 +463,9 @@ def test_every_acknowledged_command_took_effect_once_whatever_the_line_lost(
 
 def test_a_setpoint_before_the_handshake_is_not_remembered() -> None:
     harness = Harness()
-    harness.turn(harness.frame(SetpointMessage(0, 0.1, 0.0, 0.0)))
+    harness.turn(
+        harness.frame(SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
+    )
     harness.hello()
     harness.turn(ticks=5)
     assert harness.streamed == []

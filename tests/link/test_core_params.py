@@ -232,8 +232,8 @@ def test_one_damaged_byte_anywhere_is_found_and_the_other_copy_is_used(page: int
 
 def test_two_damaged_copies_give_the_defaults_and_say_so() -> None:
     board = saved_board(3.0, 4.0)
-    damage(board, 0, 100)
-    damage(board, 1, 200)
+    damage(board, page=0, at=100)
+    damage(board, page=1, at=200)
     assert load(board) == (ParamsSource.CORRUPT, HOVER_DEFAULT)
     assert save(board, 5.0)
     assert load(board) == (ParamsSource.STORED, 5.0)
@@ -242,7 +242,7 @@ def test_two_damaged_copies_give_the_defaults_and_say_so() -> None:
 @pytest.mark.parametrize("page", [0, 1])
 def test_the_very_first_save_already_survives_damage_to_either_copy(page: int) -> None:
     board = saved_board(3.0)
-    damage(board, page, 100)
+    damage(board, page=page, at=100)
     assert load(board) == (ParamsSource.FALLBACK, 3.0)
 
 
@@ -254,7 +254,7 @@ def entry(parameter: int) -> int:
 def other_schema(board: core_link.Board) -> None:
     """As if a firmware with other parameters had saved both copies."""
     for page in (0, 1):
-        rewrite(board, page, 4, (PARAMS_HASH ^ 1).to_bytes(4, "little"))
+        rewrite(board, page=page, at=4, new=(PARAMS_HASH ^ 1).to_bytes(4, "little"))
 
 
 def origin(board: core_link.Board) -> tuple[int, int, list[int]]:
@@ -339,8 +339,8 @@ def test_a_copy_with_a_value_out_of_range_is_not_used_whatever_its_crc() -> None
 
 def test_the_generation_may_wrap() -> None:
     board = saved_board(3.0, 4.0)
-    rewrite(board, 0, 8, (0xFFFFFFFE).to_bytes(4, "little"))
-    rewrite(board, 1, 8, (0xFFFFFFFF).to_bytes(4, "little"))
+    rewrite(board, page=0, at=8, new=(0xFFFFFFFE).to_bytes(4, "little"))
+    rewrite(board, page=1, at=8, new=(0xFFFFFFFF).to_bytes(4, "little"))
     assert load(board) == (ParamsSource.STORED, 4.0)
     for value in (5.0, 6.0, 7.0):
         assert save(board, value)
@@ -357,7 +357,7 @@ def test_a_failed_save_says_so_and_the_next_start_finds_the_old_set() -> None:
 def test_a_save_makes_a_corrupt_board_fit_to_arm_without_a_restart() -> None:
     board = saved_board(3.0)
     for page in (0, 1):
-        damage(board, page, 100)
+        damage(board, page=page, at=100)
     params = core_link.Params()
     store = core_link.Store(board)
     assert store.load(params) == ParamsSource.CORRUPT

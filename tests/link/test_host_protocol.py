@@ -442,7 +442,7 @@ TRIPPED = (State.FAULT, Trigger.TRIP, Fault.PITCH_LIMIT)
 
 
 def event(tick: int, state: State, cause: Trigger) -> EventMessage:
-    return EventMessage(tick, Event.STATE, state, cause, 0.0)
+    return EventMessage(tick=tick, kind=Event.STATE, detail=state, cause=cause, value=0.0)
 
 
 def watching(*flown: tuple[State, Trigger]) -> MissedEvents:
@@ -556,12 +556,12 @@ def test_a_million_frames_raise_only_errors_of_the_package() -> None:
 @pytest.mark.parametrize("kind", [*Event, 200])
 def test_an_event_may_carry_any_number(board: FakeBoard, session: Session, kind: int, value: float) -> None:
     session.wait(0.1)
-    board.send(EventMessage(board.tick, kind, 1, 1, value))
+    board.send(EventMessage(tick=board.tick, kind=kind, detail=1, cause=1, value=value))
     session.wait_for(lambda: False, 0.5)
     assert session.connected
     assert session.counters.restarts == 0
     [event] = [event for event in session.events if event.message is not None and event.message.kind == kind]
-    assert event.text == event_text(EventMessage(0, kind, 1, 1, value))
+    assert event.text == event_text(EventMessage(tick=0, kind=kind, detail=1, cause=1, value=value))
 
 
 def test_a_sample_of_a_state_that_nobody_declared_is_refused_and_counted(board: FakeBoard) -> None:

@@ -223,7 +223,9 @@ def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one
         next(frame for _, frame in board.heard if frame.id == MessageId.PARAM_SET).payload
     )
     board.lose_replies = 1
-    board.send(AckMessage(late.request, MessageId.PARAM_SET, Result.OK, 0, 1.0))
+    board.send(
+        AckMessage(request=late.request, command=MessageId.PARAM_SET, result=Result.OK, detail=0, value=1.0)
+    )
     assert session.command(ParamSetMessage(0, Param.HOVER_V, 2.0)).value == 2.0
     assert session.counters.retries == 1
 
@@ -265,7 +267,7 @@ def test_a_wrong_state_names_the_state_and_what_to_do_first(session: Session, bo
     with pytest.raises(
         CommandRefused, match=r"control: not allowed in state fault; .*clear the fault"
     ) as caught:
-        session.command(ControlMessage(0, 7, 0.0, 0.0))
+        session.command(ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
     assert caught.value.state is State.FAULT
 
 
@@ -331,7 +333,9 @@ def test_the_board_hears_something_at_least_five_times_a_second(board: FakeBoard
 def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins(board: FakeBoard, session: Session) -> None:
     first_tick = board.tick
     for index in range(1000):
-        session.stream(SetpointMessage(0, index * 1e-3, 0.0, 0.0))
+        session.stream(
+            SetpointMessage(apply_tick=0, elevation_rad=index * 1e-3, pitch_rad=0.0, travel_rad=0.0)
+        )
         if index % 10 == 9:
             session.wait_for(lambda: False, 0.01)
     session.wait_for(lambda: False, 0.05)
@@ -347,7 +351,7 @@ def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins(board: FakeBoard
 def test_voltages_go_out_at_500_Hz_at_most(board: FakeBoard, session: Session) -> None:
     first_tick = board.tick
     for _ in range(500):
-        session.stream(VoltagesMessage(1.0, 2.0, 50))
+        session.stream(VoltagesMessage(front_V=1.0, back_V=2.0, valid_ms=50))
         session.wait_for(lambda: False, 0.001)
     assert 200 <= len(ticks_of_received(board, MessageId.VOLTAGES)) <= (board.tick - first_tick) / 2 + 1
     assert session.counters.voltages_skipped > 0
@@ -357,11 +361,11 @@ def test_voltages_go_out_at_500_Hz_at_most(board: FakeBoard, session: Session) -
 def test_the_last_setpoint_is_kept_fresh_only_while_the_board_flies_on_setpoints(
     board: FakeBoard, session: Session
 ) -> None:
-    session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
+    session.keep_alive(SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
     session.wait(1.0)
     assert ticks_of_received(board, MessageId.SETPOINT) == []
     session.command(ArmMessage(0))
-    session.command(ControlMessage(0, 7, 0.0, 0.0))
+    session.command(ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
     session.wait(0.2)
     began = len(ticks_of_received(board, MessageId.SETPOINT))
     session.wait(5.0)
@@ -379,7 +383,11 @@ def test_an_ack_for_another_command_with_the_same_number_is_no_answer(
 ) -> None:
     board.lose_replies = 1
     request = session._engine.commands.ask(ArmMessage(0), session.transport.now_s(), 1.0)
-    board.send(AckMessage(request.command.request, MessageId.STOP, Result.OK, 0, 0.0))
+    board.send(
+        AckMessage(
+            request=request.command.request, command=MessageId.STOP, result=Result.OK, detail=0, value=0.0
+        )
+    )
     session.wait_for(lambda: False, 0.01)
     assert not request.done
     session.wait_for(lambda: request.done, 0.5)
@@ -493,7 +501,7 @@ def test_a_restart_of_the_board_is_distinguished_from_a_lost_cable(board: FakeBo
     assert_true(seen)
     latest = session.latest
     assert latest is not None
-    assert 1000 <= latest[0] < 1300
+    assert 1000 <= latest.tick < 1300
 
 
 @pytest.mark.medium
@@ -535,7 +543,7 @@ def test_a_restart_under_the_same_id_is_noticed_by_the_tick(board: FakeBoard, se
     assert session.counters.restarts == session.counters.reconnects == 1
     latest = session.latest
     assert latest is not None
-    assert 1000 <= latest[0] < 1300
+    assert 1000 <= latest.tick < 1300
 
 
 @pytest.mark.medium

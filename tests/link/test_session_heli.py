@@ -251,21 +251,30 @@ def test_limits_are_those_of_the_boards_parameters(board: FakeBoard) -> None:
 
 def test_voltages_outside_the_boards_limits_are_not_sent(board: FakeBoard, heli: Heli) -> None:
     with pytest.raises(SetpointError, match="give 0 to 10 V"):
-        heli.voltages(11.0, 3.0)
-    heli.voltages(2.0, 3.0, valid_s=0.02)
+        heli.voltages(front_V=11.0, back_V=3.0)
+    heli.voltages(front_V=2.0, back_V=3.0, valid_s=0.02)
     heli.wait(0.01)
     sent_values = [
         VoltagesMessage.unpack(frame.payload) for _, frame in board.heard if frame.id == MessageId.VOLTAGES
     ]
-    assert sent_values == [VoltagesMessage(2.0, 3.0, 20)]
+    assert sent_values == [VoltagesMessage(front_V=2.0, back_V=3.0, valid_ms=20)]
 
 
 def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones(board: FakeBoard, heli: Heli) -> None:
-    heli.excite("chirp", 0.25, -0.5, start_Hz=0.5, stop_Hz=4.0, duration_s=8.0)
+    heli.excite("chirp", front_V=0.25, back_V=-0.5, start_Hz=0.5, stop_Hz=4.0, duration_s=8.0)
     sent = ExciteMessage.unpack(b"\0" + board.executed[-1][1:])
-    assert sent == ExciteMessage(0, Excitation.CHIRP, 0.25, -0.5, 0.5, 4.0, 8.0, 1)
+    assert sent == ExciteMessage(
+        request=0,
+        kind=Excitation.CHIRP,
+        front_V=0.25,
+        back_V=-0.5,
+        start_Hz=0.5,
+        stop_Hz=4.0,
+        duration_s=8.0,
+        seed=1,
+    )
     with pytest.raises(ParameterError, match="unknown excitation wobble; choose from step, doublet"):
-        heli.excite("wobble", 1.0)
+        heli.excite("wobble", front_V=1.0)
 
 
 @pytest.mark.medium

@@ -75,7 +75,7 @@ def test_nothing_that_starts_motors_is_sent_after_a_stop_until_it_is_released(
     board: FakeBoard, session: Session
 ) -> None:
     session.stop_now()
-    for command in (ArmMessage(0), ControlMessage(0, 7, 0.0, 0.0)):
+    for command in (ArmMessage(0), ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0)):
         with pytest.raises(LinkError, match="a stop cancelled this command"):
             session.command(command)
     assert not ticks_of_received(board, MessageId.ARM)
@@ -106,8 +106,8 @@ def test_what_follows_a_stop_does_not_take_its_place_before_it_is_answered(
 
 def test_a_stop_forgets_the_setpoint_that_was_kept_alive(board: FakeBoard, session: Session) -> None:
     session.command(ArmMessage(0))
-    session.command(ControlMessage(0, 7, 0.0, 0.0))
-    session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
+    session.command(ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
+    session.keep_alive(SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
     session.wait(1.0)
     assert ticks_of_received(board, MessageId.SETPOINT)
     session.stop_now()
@@ -122,15 +122,15 @@ def test_no_setpoint_is_sent_while_none_is_permitted_and_it_goes_on_after(
     board: FakeBoard, session: Session
 ) -> None:
     session.command(ArmMessage(0))
-    session.command(ControlMessage(0, 7, 0.0, 0.0))
-    session.keep_alive(SetpointMessage(0, 0.1, 0.0, 0.0))
+    session.command(ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
+    session.keep_alive(SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
     session.wait(0.5)
     permitted = [False]
     session.permit_streams(lambda: permitted[0])
     session.wait(0.1)  # what is on the line arrives
     board.heard.clear()
     for _ in range(5):
-        session.stream(SetpointMessage(0, 0.2, 0.0, 0.0))
+        session.stream(SetpointMessage(apply_tick=0, elevation_rad=0.2, pitch_rad=0.0, travel_rad=0.0))
         session.wait(0.2)
     assert not ticks_of_received(board, MessageId.SETPOINT)
     permitted[0] = True
@@ -407,7 +407,7 @@ def test_waiting_keeps_to_device_time_not_to_this_computers(rig: PtyBoard) -> No
         last = session.latest
     assert first is not None
     assert last is not None
-    assert last[0] - first[0] >= 500
+    assert last.tick - first.tick >= 500
 
 
 INTERRUPTS = 200

@@ -12,6 +12,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from heli_host.declaration import Channel
 
 pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make setup")
 
@@ -57,6 +58,11 @@ def chromium() -> Iterator[Browser]:
             yield browser
         finally:
             browser.close()
+
+
+def latest(channel: Channel) -> str:
+    """Return the JavaScript expression for the newest value of a channel, in its unit."""
+    return f"heliPage.history.latest({int(channel)})"
 
 
 def until(page: Page, expression: str) -> None:

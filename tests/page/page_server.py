@@ -24,7 +24,7 @@ from heli_host.fly.recorder import Recorder
 from heli_host.ui.page.cockpit import Cockpit
 from heli_host.ui.page.guard import MESSAGES_PER_S, RateLimit
 from heli_host.ui.page.serve import Address, serving
-from heli_host.ui.page.source import Action, CommandQueue, News, Role, outline
+from heli_host.ui.page.source import Action, BoardState, CommandQueue, News, Role, outline
 from heli_host.ui.page.telemetry import Rows, TelemetryBuffer, unpack
 from heli_lab.law import Command, Law, control_law, if_else, motor_volts, saturated
 from websockets.exceptions import WebSocketException
@@ -258,8 +258,8 @@ class Desk:
         self.status_may_return.wait()
         return {"state": 0}
 
-    def state(self) -> tuple[int, int]:
-        return 0, 0
+    def state(self) -> BoardState:
+        return BoardState(state=0, fault=0)
 
     def listen(self, news: News) -> None:
         pass

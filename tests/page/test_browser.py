@@ -15,7 +15,7 @@ import heli_host
 import numpy as np
 import pytest
 from heli_host.data.log.reader import read_log
-from heli_host.declaration import Axes, State
+from heli_host.declaration import Axes, Channel, State
 from heli_host.errors import CommandRefused, HeliError
 from heli_host.fly.plan import Plan
 from heli_host.ui.page import service
@@ -40,6 +40,7 @@ from tests.page.browser import (
     WIDE,
     Tabs,
     click,
+    latest,
     save_log,
     tabs,
     until,
@@ -59,6 +60,8 @@ from tests.web.pages import write_whole_page
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
 
+ELEVATION_SETPOINT_DEG = f"{latest(Channel.ELEVATION_SETPOINT)} * 57.3"
+TRAVEL_SETPOINT_DEG = f"{latest(Channel.TRAVEL_SETPOINT)} * 57.3"
 GAMEPAD = """
 window.pad = {connected: true, axes: [0, 0, 0, 0], buttons: [0, 1, 2, 3].map(() => ({pressed: false}))};
 navigator.getGamepads = () => [window.pad];
@@ -356,14 +359,14 @@ def test_by_hand_with_button_slider_keys_and_gamepad(behind: Behind, window: Tab
     expect(page.locator("#hold")).to_be_enabled()
     until(page, "document.querySelector('#progress').textContent === ''")
     page.fill("#set-travel", "6")
-    until(page, "Math.abs(heliPage.history.latest(5) * 57.3 - 6) < 0.2")
+    until(page, f"Math.abs({TRAVEL_SETPOINT_DEG} - 6) < 0.2")
     page.focus("#hold")
     page.keyboard.press("Shift+ArrowRight")
-    until(page, "Math.abs(heliPage.history.latest(5) * 57.3 - 11) < 0.2")
+    until(page, f"Math.abs({TRAVEL_SETPOINT_DEG} - 11) < 0.2")
     page.keyboard.press("ArrowDown")
-    until(page, "Math.abs(heliPage.history.latest(3) * 57.3 + 1) < 0.2")
+    until(page, f"Math.abs({ELEVATION_SETPOINT_DEG} + 1) < 0.2")
     page.evaluate("pad.axes[1] = -1")
-    until(page, "heliPage.history.latest(3) * 57.3 > 1")
+    until(page, f"{ELEVATION_SETPOINT_DEG} > 1")
     page.evaluate("pad.axes[1] = 0")
     click(page, "#land")
     until_state(page, "landing")
@@ -649,7 +652,7 @@ def test_the_keyboard_alone_flies(behind: Behind, window: Tabs) -> None:
     reach("#set-travel")
     page.keyboard.press("ArrowRight")
     page.keyboard.press("ArrowRight")
-    until(page, "Math.abs(heliPage.history.latest(5) * 57.3 - 1) < 0.1")
+    until(page, f"Math.abs({TRAVEL_SETPOINT_DEG} - 1) < 0.1")
     reach("#record")
     page.keyboard.press("Enter")
     expect(page.locator("#record")).to_have_text("Stop recording")

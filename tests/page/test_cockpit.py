@@ -54,7 +54,9 @@ def test_a_board_is_simulated_only_if_something_says_so(
 
 
 def state_text(trigger: Trigger) -> str:
-    return event_text(EventMessage(0, Event.STATE, State.EMERGENCY_LANDING, trigger, 0.0))
+    return event_text(
+        EventMessage(tick=0, kind=Event.STATE, detail=State.EMERGENCY_LANDING, cause=trigger, value=0.0)
+    )
 
 
 @pytest.mark.parametrize("trigger", Trigger, ids=lambda trigger: trigger.name.lower())
@@ -298,13 +300,13 @@ def test_a_reader_that_keeps_up_gets_each_row_once(counts: list[int], reads: lis
         buffer.append(*rows(written, count))
         written += count
         if read:
-            cut = buffer.rows_since(position, 1000)
+            cut = buffer.rows_since(position=position, max_rows=1000)
             position = cut.end
             got += cut.tick.tolist()
             assert not cut.reset
             assert not cut.thinned
             check_rows(cut)
-    got += buffer.rows_since(position, 1000).tick.tolist()
+    got += buffer.rows_since(position=position, max_rows=1000).tick.tolist()
     assert got == list(range(written))
 
 
@@ -313,7 +315,7 @@ def test_a_reader_that_fell_behind_gets_some_rows_and_the_newest(written: int, m
     buffer = TelemetryBuffer(100)
     for first in range(0, written, 7):
         buffer.append(*rows(first, min(7, written - first)))
-    cut = buffer.rows_since(0, most)
+    cut = buffer.rows_since(position=0, max_rows=most)
     assert 0 < len(cut.tick) <= most
     assert cut.tick[-1] == written - 1
     assert cut.reset == (written > 100)
@@ -326,7 +328,7 @@ def test_a_reader_that_fell_behind_gets_some_rows_and_the_newest(written: int, m
 def test_more_than_fits_keeps_the_newest() -> None:
     buffer = TelemetryBuffer(10)
     buffer.append(*rows(0, 25))
-    cut = buffer.rows_since(0, 100)
+    cut = buffer.rows_since(position=0, max_rows=100)
     assert cut.tick.tolist() == list(range(15, 25))
     assert buffer.end == 25
     check_rows(cut)
@@ -337,7 +339,7 @@ def test_cleared_rows_are_not_read_and_the_reader_is_informed() -> None:
     buffer.append(*rows(0, 20))
     buffer.clear()
     buffer.append(*rows(5, 3))
-    cut = buffer.rows_since(10, 100)
+    cut = buffer.rows_since(position=10, max_rows=100)
     assert cut.tick.tolist() == [5, 6, 7]
     assert cut.reset
 
@@ -392,7 +394,7 @@ def test_what_is_played_is_what_the_log_holds(log: Log) -> None:
     position, tick, raw = 0, [], []
     while replay.status()["playing"]:
         advance(replay, 333)
-        cut = replay.buffer.rows_since(position, 10_000)
+        cut = replay.buffer.rows_since(position=position, max_rows=10_000)
         position = cut.end
         tick.append(cut.tick)
         raw.append(cut.raw)
@@ -405,11 +407,13 @@ def test_it_goes_on_from_where_it_was_put_and_shows_what_was_before(log: Log) ->
     replay = Replay(log, {})
     advance(replay, 10)
     replay.actions["seek"].run({"t_s": float(log.ticks["t_s"][4000])})
-    cut = replay.buffer.rows_since(10, 10_000)
+    cut = replay.buffer.rows_since(position=10, max_rows=10_000)
     assert cut.reset
     np.testing.assert_array_equal(cut.raw, log.raw[:4000])
     advance(replay, 100)
-    np.testing.assert_array_equal(replay.buffer.rows_since(cut.end, 10_000).raw, log.raw[4000:4100])
+    np.testing.assert_array_equal(
+        replay.buffer.rows_since(position=cut.end, max_rows=10_000).raw, log.raw[4000:4100]
+    )
 
 
 @pytest.mark.medium

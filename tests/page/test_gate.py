@@ -102,7 +102,7 @@ def test_what_exceeds_the_rate_is_neither_decoded_nor_queued(
     desk: Desk, address: Address, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Without refill the claim depends on no clock.
-    monkeypatch.setattr(serve, "Meter", lambda: Meter(0.0, 10.0))
+    monkeypatch.setattr(serve, "Meter", lambda: Meter(messages_per_s=0.0, message_burst=10.0))
     decoded: list[bytes] = []
     decode = WebSocketsSansIOProtocol.data_received
 
@@ -158,7 +158,7 @@ def test_requests_that_wait_are_bounded(desk: Desk, address: Address) -> None:
 def test_watchers_together_wait_unread_and_the_pilot_does_not(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(service, "RateLimit", lambda rate, burst: RateLimit(1e-9, 1.0))
+    monkeypatch.setattr(service, "RateLimit", lambda rate, burst: RateLimit(rate_per_s=1e-9, burst=1.0))
     with serving(desk) as address, opened(address, rows="0") as pilot, opened(address, rows="0") as watcher:
         watcher.send(json.dumps({"do": "count", "id": 0}))
         while json.loads(watcher.recv(PATIENCE_S)).get("answer") != 0:
@@ -193,7 +193,7 @@ def test_more_clients_than_the_limit_are_refused_and_a_stop_is_not(
 def test_new_connections_are_limited_in_rate_and_a_stop_is_not(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gates, "RateLimit", lambda rate, burst: RateLimit(0.0, 2.0))
+    monkeypatch.setattr(gates, "RateLimit", lambda rate, burst: RateLimit(rate_per_s=0.0, burst=2.0))
     with serving(desk) as address:
         host = [("Host", f"127.0.0.1:{address.port}")]
         assert [status_of_request(address, "/main.js", host) for _ in range(4)] == [200, 200, 503, 503]
@@ -268,7 +268,7 @@ def test_frames_are_counted_as_a_decoder_finds_them(sizes: list[int], masked: bo
 
 def test_an_allowance_refills_with_time_up_to_its_maximum() -> None:
     now_s = [0.0]
-    limit = RateLimit(10.0, 5.0, lambda: now_s[0])
+    limit = RateLimit(rate_per_s=10.0, burst=5.0, clock=lambda: now_s[0])
     assert [limit.take() for _ in range(6)] == [True] * 5 + [False]
     assert limit.wait_s() == pytest.approx(0.1)
     now_s[0] = 0.1

@@ -12,11 +12,12 @@ import pytest
 import zstandard as zstd
 from heli_host.data.log.blind import SEALED, Truth, truth_path
 from heli_host.data.log.reader import read_log
+from heli_host.declaration import Channel, State
 from heli_web.build import write_page
 from playwright.sync_api import Browser, Page, expect
 
 from tests.page import browser as browsers
-from tests.page.browser import click, save_log, tabs, until
+from tests.page.browser import click, latest, save_log, tabs, until
 from tests.running.order import REAL_TIME
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
@@ -29,6 +30,7 @@ WATCH_PITCH = """() => {
   window.largestPitch = 0;
   setInterval(() => { largestPitch = Math.max(largestPitch, heliPage.history.latest(1)); }, 5);
 }"""
+IS_FLYING = f"heliPage.status.state === {int(State.CLOSED_LOOP)}"
 MAX_BYTES = 1_500_000
 HOSTILE_ADDRESSES = (
     "a" * 5000, "%00%ff%", "rig=../../etc/passwd", "rig=", "board=real", "board=", "seed=-1", "seed=1e99",
@@ -109,16 +111,16 @@ def test_a_key_stops_the_motors_of_the_emulated_due(chromium: Browser, single_pa
     with opened(chromium, single_page, "board=due") as tab:
         expect(tab.locator("#board")).to_contain_text("Due")
         click(tab, "#take-off")
-        until(tab, "heliPage.history.latest(6) > 0.5")
+        until(tab, f"{latest(Channel.FRONT)} > 0.5")
         tab.keyboard.press("Space")
-        until(tab, "heliPage.history.latest(6) === 0 && heliPage.history.latest(7) === 0")
+        until(tab, f"{latest(Channel.FRONT)} === 0 && {latest(Channel.BACK)} === 0")
         expect(tab.locator("#stopped")).to_contain_text("STOPPED")
 
 
 def test_faults_of_the_rig_reach_the_board(chromium: Browser, single_page: Path) -> None:
     with opened(chromium, single_page, "speed=5") as tab:
         click(tab, "#take-off")
-        until(tab, "heliPage.status.state === 2 && heliPage.history.latest(0) > -0.1")
+        until(tab, f"{IS_FLYING} && {latest(Channel.ELEVATION_COUNT)} > -0.1")
         click(tab, "#tab-lab")
         click(tab, "[data-fault='motor supply off']")
         until(tab, "['fault', 'emergency landing'].includes(document.querySelector('#state').textContent)")
@@ -131,7 +133,7 @@ def test_a_push_in_the_air_turns_its_axis(chromium: Browser, single_page: Path) 
         click(tab, "[data-push='pitch']")
         expect(tab.locator("#lab-message")).to_contain_text("take off first")
         tab.evaluate("heliLab.tellWorker({text: JSON.stringify({do: 'take_off', id: 'test'})})")
-        until(tab, "heliPage.status.state === 2 && heliPage.history.latest(0) > -0.1")
+        until(tab, f"{IS_FLYING} && {latest(Channel.ELEVATION_COUNT)} > -0.1")
         tab.evaluate(WATCH_PITCH)
         click(tab, "[data-push='pitch']")
         expect(tab.locator("#event-list")).to_contain_text("pitch is pushed")
@@ -227,7 +229,7 @@ def test_a_hostile_file_gives_one_sentence_and_the_flight_goes_on(
 ) -> None:
     with opened(chromium, single_page) as tab:
         click(tab, "#take-off")
-        until(tab, "heliPage.status.state === 2")
+        until(tab, IS_FLYING)
         for name, content in hostile_files(saved.read_bytes()).items():
             tab.evaluate("document.querySelector('#lab-message').textContent = ''")
             drop(tab, name, content)

@@ -138,7 +138,7 @@ def erase_chip(port: str, wait_s: float = ERASE_S) -> None:
     """Erase all flash of the Due behind its programming port; the chip's own loader (SAM-BA) then answers."""
     try:
         with serial.Serial(port, ERASING_BAUD) as touched:
-            _set_dtr(touched, False)
+            _set_dtr(touched, high=False)
             time.sleep(wait_s)
             # The next program to open the port raises DTR before it sets its rate, so that a rate of 1200
             # baud, left from here, would erase the flash again.
@@ -157,9 +157,9 @@ def restart_chip(port: str) -> None:
     time.sleep(_SETTLE_S)
     try:
         with serial.Serial(port, BAUD) as touched:
-            _set_dtr(touched, False)
+            _set_dtr(touched, high=False)
             time.sleep(_PULSE_S)
-            _set_dtr(touched, True)
+            _set_dtr(touched, high=True)
     except (serial.SerialException, OSError, ValueError) as error:
         raise FlashError(
             f"the flash was written, but {port} cannot be opened to restart the board: {error}",
@@ -181,10 +181,12 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
     """Read the saved parameters of a board that speaks another version of the link."""
     board = _Asker(transport, timeout_s)
     # The first hello asks for the hash of the board's link; a second one with that hash opens the session.
-    welcome = WelcomeMessage.unpack(board.ask(HelloMessage(UNNUMBERED, _NO_HASH, 0)))
+    welcome = WelcomeMessage.unpack(
+        board.ask(HelloMessage(request=UNNUMBERED, link_hash=_NO_HASH, session=0))
+    )
     if welcome.params_source not in _STORED:
         return {}
-    board.ask(HelloMessage(UNNUMBERED, welcome.link_hash, 0))
+    board.ask(HelloMessage(request=UNNUMBERED, link_hash=welcome.link_hash, session=0))
     origin = ParamsOriginMessage.unpack(
         board.ask(ParamsOriginReadMessage(UNNUMBERED), ParamsOriginMessage.STRUCT.size)
     )

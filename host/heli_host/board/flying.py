@@ -254,7 +254,12 @@ class Flying:
 
         tick = self.session.device_tick() & 0xFFFFFFFF
         elevation_rad = within("elevation", sample.elevation_deg)
-        return SetpointMessage(tick, elevation_rad, 0.0, within("travel", sample.travel_deg))
+        return SetpointMessage(
+            apply_tick=tick,
+            elevation_rad=elevation_rad,
+            pitch_rad=0.0,
+            travel_rad=within("travel", sample.travel_deg),
+        )
 
     def _send_target(self) -> None:
         if self.target is not None:

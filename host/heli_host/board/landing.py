@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -156,6 +157,9 @@ class Landing:
             is_over = session.counters.restarts != restarts or state in MOTORS_OFF
             return None if is_over else state
 
+        def has_left(earlier: State) -> bool:
+            return state_if_running() is not earlier
+
         while (state := state_if_running()) is not None:
             if since_tick is None:
                 since_tick = self._telemetry.latest.tick
@@ -167,8 +171,7 @@ class Landing:
                 self._begin_descent(state)
             if on_wait is not None:
                 on_wait()
-            # mypy gives no type to a lambda with a default.
-            session.wait_for(lambda seen=state: state_if_running() is not seen, _LOOK_S)  # type: ignore[misc]
+            session.wait_for(partial(has_left, state), _LOOK_S)
 
     def _begin_descent(self, state: State) -> None:
         """Let the board land, or stop the motors if the arm is on the table, and wait until telemetry shows

@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, Literal, Protocol, get_args, runtime_checkable
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Protocol, get_args, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -245,7 +245,7 @@ def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
 
     def due() -> bool:
         newest = session.latest
-        return newest is not None and (newest[0] >= due_tick or session.state is not State.STREAMED)
+        return newest is not None and (newest.tick >= due_tick or session.state is not State.STREAMED)
 
     while True:
         session.wait_for(due, step_s=TICK_S)
@@ -355,6 +355,7 @@ def _latencies_ticks(
 
 PART_WORDS: Final = sum(name.startswith("word_") for name in LawPartMessage.__slots__)
 _ENGAGED_TIMEOUT_S: Final = 1.0
+_ENGAGED_TICKS: Final = 200
 
 
 def loaded(session: Session) -> LawMessage:
@@ -401,20 +402,28 @@ class LawReport:
         return f"{self.name} flew for {self.flown_s:.1f} s on the board{end}"
 
 
-def takeover_text(event: LinkEvent) -> tuple[str, float] | None:
+class TakeoverReason(NamedTuple):
+    """Why the board's built-in law took over, and the value that was judged."""
+
+    name: str
+    value: float
+
+
+def takeover_reason(event: LinkEvent) -> TakeoverReason | None:
     """Return the reason for which the board's built-in law took over, from an event."""
     message = event.message
     if message is None or message.kind != Event.LAW_TAKEN_OVER:
         return None
-    known = message.detail in Takeover._value2member_map_
-    return (Takeover(message.detail).name.lower() if known else f"reason {message.detail}"), message.value
+    is_known = message.detail in Takeover._value2member_map_
+    name = Takeover(message.detail).name.lower() if is_known else f"reason {message.detail}"
+    return TakeoverReason(name, message.value)
 
 
-def takeover_since(heli: Vehicle, tick: int) -> tuple[str, float] | None:
-    """Return reason and value of the board's newest takeover from a tick on; None without such an event."""
+def takeover_since(heli: Vehicle, tick: int) -> TakeoverReason | None:
+    """Return the reason of the board's newest takeover from a tick on; None without such an event."""
     # An event may arrive late: an older one would give the reason for which an earlier law was taken over.
     events = [event for event in heli.session.events if event.tick >= tick]
-    reasons = [text for event in events if (text := takeover_text(event))]
+    reasons = [reason for event in events if (reason := takeover_reason(event))]
     return reasons[-1] if reasons else None
 
 
@@ -429,19 +438,19 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
     )
     for name, value in (parameters or {}).items():
         set_parameter(heli.session, program, name, value)
-    start = heli.latest.tick
+    start_tick = heli.latest.tick
     heli.session.command(LawFlyMessage(UNNUMBERED, on=1))
     law_ticks: list[int] = []
 
     def has_engaged(sample: Sample) -> bool:
         if sample.flags & Flags.LAW:
             law_ticks.append(sample.tick)
-        return bool(law_ticks) or sample.tick > start + 200
+        return bool(law_ticks) or sample.tick > start_tick + _ENGAGED_TICKS
 
     heli.wait_until(has_engaged, _ENGAGED_TIMEOUT_S)
     if not law_ticks:
-        takeover = takeover_since(heli, start)
-        reason = f": {takeover[0]} ({takeover[1]:.4g})" if takeover else ""
+        takeover = takeover_since(heli, start_tick)
+        reason = f": {takeover.name} ({takeover.value:.4g})" if takeover else ""
         raise FlightAborted(
             f"control law {program.name} was taken over immediately{reason}",
             "simulate it first with heli-host law check",
@@ -472,7 +481,7 @@ def fly_law(
     else:
         # The board took over. Telemetry shows this slightly before the event with the reason arrives.
         heli.wait(0.1)
-        reason, value = takeover_since(heli, first_tick) or ("unknown", 0.0)
+        reason, value = takeover_since(heli, first_tick) or TakeoverReason("unknown", 0.0)
     report = LawReport(
         program.name, program.hash, flown_s=(last.tick - first_tick) * 1e-3, taken_over=reason, value=value
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -43,7 +44,7 @@ _LONGEST_WAIT_S = 2.0
 def newest_tick(session: Session) -> int:
     """Return the tick of the newest sample; 0 before the first."""
     newest = session.latest
-    return newest[0] if newest is not None else 0
+    return newest.tick if newest is not None else 0
 
 
 def wait_ticks(session: Session, count: int) -> None:
@@ -212,14 +213,14 @@ class FlightMonitor:
     def fault(self) -> int:
         """Return the number of the fault in the newest sample."""
         newest = self._session.latest
-        return int(newest[1][Channel.FAULT]) if newest is not None else int(Fault.NONE)
+        return int(newest.raw[Channel.FAULT]) if newest is not None else int(Fault.NONE)
 
     def _newest_state(self) -> str:
         """Return the state and its trigger in the newest sample, as text."""
         newest = self._session.latest
         if newest is None:
             return "no sample arrived"
-        return state_text(int(newest[1][Channel.STATE]), int(newest[1][Channel.TRIGGER]))
+        return state_text(int(newest.raw[Channel.STATE]), int(newest.raw[Channel.TRIGGER]))
 
 
 INTERVAL_TICKS = 20
@@ -395,9 +396,8 @@ class PlanLanding:
         if is_completed and not trouble and newest is not None and not self._monitor.restarted():
             # The board may have landed by itself, if the host was suspended between the end of the plan and
             # the landing.
-            _, channels = newest
-            was_requested = channels[Channel.TRIGGER] in _REQUESTED
-            if channels[Channel.STATE] in _DOWN and not was_requested:
+            was_requested = newest.raw[Channel.TRIGGER] in _REQUESTED
+            if newest.raw[Channel.STATE] in _DOWN and not was_requested:
                 return self._monitor.why_down()
         return trouble
 
@@ -506,6 +506,10 @@ class Pilot:
             raise FlightAborted(monitor.why_down()) from None
         stream.begin()
         end_tick = stream.end_tick
+
+        def is_due(tick: int) -> bool:
+            return newest_tick(session) >= tick or monitor.must_end()
+
         while newest_tick(session) < end_tick:
             monitor.check(stream.t_s)
             if self._on_taken_off is not None and newest_tick(session) >= stream.taken_off_tick:
@@ -516,8 +520,7 @@ class Pilot:
             due_tick = min([end_tick, *(stream.tick_of(piece) for piece in self._excitations[:1])])
             if self._on_taken_off is not None:
                 due_tick = min(due_tick, stream.taken_off_tick)
-            # mypy gives no type to a lambda with a default.
-            session.wait_for(lambda due=due_tick: newest_tick(session) >= due or monitor.must_end(), _LOOK_S)  # type: ignore[misc]
+            session.wait_for(partial(is_due, due_tick), _LOOK_S)
             stream.bridge_a_stall()
         monitor.check(stream.t_s)
 

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,6 +136,14 @@ class Start:
     elevation_deg: float = 0.0  # Elevation there
     rate_deg_s: float = 8.0  # Rate at which the elevation setpoint rises to this elevation
     settle_s: float = 4.0  # Waiting time at this elevation
+
+
+class PlanSetpoints(NamedTuple):
+    """Setpoints of a plan in degrees: float, or ndarray (n,)."""
+
+    elevation_deg: Any
+    pitch_deg: Any
+    travel_deg: Any
 
 
 @dataclass(frozen=True)
@@ -259,7 +267,7 @@ class Plan:
         """Length without take-off and landing, in seconds."""
         return self.route.duration_s
 
-    def evaluate(self, t_s: float | NDArray[np.float64]) -> tuple[Any, Any, Any]:
+    def evaluate(self, t_s: float | NDArray[np.float64]) -> PlanSetpoints:
         """Return the setpoints at one time or many.
 
         Parameters
@@ -269,12 +277,11 @@ class Plan:
 
         Returns
         -------
-        elevation_deg, pitch_deg, travel_deg : float or ndarray (n,)
-            Setpoints in degrees; before 0 s those at the start of the plan, and after its end the last ones.
+        PlanSetpoints
+            Before 0 s those at the start of the plan, and after its end the last ones.
         """
         points = self.route.evaluate(np.atleast_1d(np.asarray(t_s, np.float64)))
-        elevation_deg, pitch_deg, travel_deg = points[0].tolist() if np.ndim(t_s) == 0 else points.T
-        return elevation_deg, pitch_deg, travel_deg
+        return PlanSetpoints(*(points[0].tolist() if np.ndim(t_s) == 0 else points.T))
 
     def check(self, parameters: Mapping[str, float] | None = None, from_deg: Floats | None = None) -> Floats:
         """Refuse a plan that the board would refuse or could not follow.

@@ -160,7 +160,7 @@ class Recorder:
         """
         newest = self._heli.session.latest
         with self._keep_first_failure():
-            tick = (newest[0] if newest else 0) & 0xFFFFFFFF
+            tick = (newest.tick if newest else 0) & 0xFFFFFFFF
             self._writer.write_event(tick, name, self._text_for_log(text), level)
 
     def check(self) -> None:

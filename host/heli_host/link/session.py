@@ -15,7 +15,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from types import TracebackType
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,15 @@ Unsubscribe = Callable[[], None]
 _EVENTS_KEPT = 1000
 
 _T = TypeVar("_T")
+
+
+class RawTick(NamedTuple):
+    """The newest tick of a board, as it came over the link."""
+
+    tick: int
+    """Unwrapped beyond 2^32."""
+    raw: npt.NDArray[np.int32]
+    """Wire numbers, shape (channels,)."""
 
 
 class Subscribers:
@@ -372,12 +381,12 @@ class Session:
             return tuple(self._subscribers.events)
 
     @property
-    def latest(self) -> tuple[int, npt.NDArray[np.int32]] | None:
-        """Newest tick, unwrapped beyond 2^32, and its raw numbers (channels,); None before the first."""
+    def latest(self) -> RawTick | None:
+        """Newest tick; None before the first."""
         with self._driver.lock:
             telemetry = self._engine.telemetry
             tick, raw = telemetry.account.last, telemetry.latest_raw
-            return None if tick is None or raw is None else (tick, raw)
+            return None if tick is None or raw is None else RawTick(tick, raw)
 
     @property
     def state(self) -> State | None:
@@ -601,7 +610,7 @@ class Session:
     def tell(self, kind: str, text: str, names: tuple[str, ...] = ()) -> None:
         """Publish an event of the host to all subscribers of events, in the caller's thread."""
         newest = self.latest
-        tick = newest[0] if newest is not None else 0
+        tick = newest.tick if newest is not None else 0
         event = LinkEvent(tick, self.transport.wall_ns(), kind, text, names=names)
         self._subscribers.deliver(EMPTY_TICKS, [event], [])
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from heli_host.board.law_flight import engage, loaded, set_parameter, takeover_text
+from heli_host.board.law_flight import engage, loaded, set_parameter, takeover_reason
 from heli_host.declaration import AXES, Axes, Channel, Flags, LawFlyMessage, LawState, State
 from heli_host.errors import BadLaw, HeliError, LinkError, ParameterError, SetpointError
 from heli_host.fly.pilot import Pilot, Progress
@@ -264,14 +264,14 @@ class LawChoice:
 
     def take_event(self, event: LinkEvent) -> None:
         """Record why the board's own law took over, if the event says so."""
-        takeover = takeover_text(event)
-        if takeover is not None and takeover[0] not in _EXPECTED_ENDS:
-            self._taken_over = f"{takeover[0].replace('_', ' ')} ({takeover[1]:.3g})"
+        takeover = takeover_reason(event)
+        if takeover is not None and takeover.name not in _EXPECTED_ENDS:
+            self._taken_over = f"{takeover.name.replace('_', ' ')} ({takeover.value:.3g})"
 
     @property
     def _is_law_flying(self) -> bool:
         newest = self._heli.session.latest
-        return newest is not None and bool(int(newest[1][Channel.FLAGS]) & Flags.LAW)
+        return newest is not None and bool(int(newest.raw[Channel.FLAGS]) & Flags.LAW)
 
     def _change_in_flight(self, name: str) -> None:
         """Start the control law that the board already holds; in the air the board accepts no other law."""
@@ -413,7 +413,7 @@ class Recording:
 
     def _newest_tick(self) -> int:
         newest = self._session.latest
-        return newest[0] if newest is not None else 0
+        return newest.tick if newest is not None else 0
 
 
 class EventFeed:

@@ -26,6 +26,7 @@ from heli_host.ui.page.source import (
     KEPT_S,
     UNKNOWN,
     Action,
+    BoardState,
     CommandQueue,
     News,
     Role,
@@ -135,8 +136,8 @@ class Cockpit:
         """Return the present status as JSON; see `Source.status`."""
         newest = self._session.latest
         return {
-            "state": int(newest[1][Channel.STATE]) if newest is not None else -1,
-            "fault": int(newest[1][Channel.FAULT]) if newest is not None else 0,
+            "state": int(newest.raw[Channel.STATE]) if newest is not None else -1,
+            "fault": int(newest.raw[Channel.FAULT]) if newest is not None else 0,
             "cause": self._pilot.cause,
             "connected": self._session.connected,
             "link": _link_status(self._session),
@@ -147,12 +148,12 @@ class Cockpit:
             "law": self._law.status(),
         }
 
-    def state(self) -> tuple[int, int]:
+    def state(self) -> BoardState:
         """Return the numbers of state and fault in the newest tick; `UNKNOWN` if that is older than 0.5 s."""
         newest = self._session.latest
         if newest is None or time.monotonic() - self._last_sample_s > _MAX_SAMPLE_AGE_S:
             return UNKNOWN
-        return int(newest[1][Channel.STATE]), int(newest[1][Channel.FAULT])
+        return BoardState(int(newest.raw[Channel.STATE]), int(newest.raw[Channel.FAULT]))
 
     def listen(self, news: News) -> None:
         """Register the callback for events; see `Source.listen`."""

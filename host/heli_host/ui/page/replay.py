@@ -17,6 +17,7 @@ from heli_host.ui.page.source import (
     KEPT_S,
     REPLAY_WORDS,
     Action,
+    BoardState,
     CommandQueue,
     News,
     Role,
@@ -108,10 +109,10 @@ class Replay:
             "speed": self._speed,
         }
 
-    def state(self) -> tuple[int, int]:
+    def state(self) -> BoardState:
         """Return the numbers of state and fault in the log at the moment that is shown."""
         row = max(self._position - 1, 0)
-        return int(self._raw[row, Channel.STATE]), int(self._raw[row, Channel.FAULT])
+        return BoardState(int(self._raw[row, Channel.STATE]), int(self._raw[row, Channel.FAULT]))
 
     def listen(self, news: News) -> None:
         """Ignore the callback: a replay has only the events in its description."""

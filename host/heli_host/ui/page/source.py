@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from heli_host.declaration import CHANNELS, FAULTS, PARAMS, Param, ParamSpec, State, Trigger
 from heli_host.errors import ParameterError, range_text
@@ -20,7 +20,16 @@ from heli_host.ui.page.telemetry import TelemetryBuffer
 
 KEPT_S = 600.0
 """Length of the history that a newly opened page shows [s]. It takes 38 MB of memory."""
-UNKNOWN = (255, 0)
+
+
+class BoardState(NamedTuple):
+    """Numbers of the board's state and fault, as the page gets them."""
+
+    state: int
+    fault: int
+
+
+UNKNOWN = BoardState(state=255, fault=0)
 """State and fault that mean "no telemetry"; 255 is not the number of a supervisor state."""
 News = Callable[[Mapping[str, Any]], None]
 _STATE_WORDS: dict[State, str] = {
@@ -131,7 +140,7 @@ class Source(Protocol):
         """
         ...
 
-    def state(self) -> tuple[int, int]:
+    def state(self) -> BoardState:
         """Return the numbers of the board's present state and fault; `UNKNOWN` if no telemetry arrives."""
         ...
 

@@ -118,12 +118,12 @@ class Rows:
     raw: npt.NDArray[np.int32]  # (n, channels): Raw numbers in the order of the declaration's ``CHANNELS``
 
 
-def pack(cut: BufferRows, number: int, state: tuple[int, int]) -> bytes:
+def pack(cut: BufferRows, number: int, board_state: tuple[int, int]) -> bytes:
     """Encode a frame."""
     flags = THINNED * cut.thinned + RESET * cut.reset
     first = int(cut.tick[0]) if len(cut.tick) else 0
     rows, channels = cut.raw.shape
-    head = _HEADER.pack(_SAMPLES, flags, channels, number & 0xFFFFFFFF, rows, *state, 0, float(first))
+    head = _HEADER.pack(_SAMPLES, flags, channels, number & 0xFFFFFFFF, rows, *board_state, 0, float(first))
     offsets = (cut.tick - first).astype("<u4").tobytes()
     return head + offsets + np.ascontiguousarray(cut.raw.T, "<i4").tobytes()
 
