@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 # The program's bank holds 256 KiB. The shipped image takes 62 KiB, your own compiled controller about 4.
 # Below 70 KiB such a controller would not build; a larger bound would hide a library linked by mistake.
@@ -65,6 +66,13 @@ class Function:
     stack_bytes: int  # Upper bound of the stack that the function takes, without the functions that it calls
 
 
+class CallChain(NamedTuple):
+    """Functions that call each other, from the outermost on, and the stack that all take together."""
+
+    stack_bytes: int
+    functions: list[str]
+
+
 @dataclass(frozen=True)
 class Image:
     """Sizes, symbols, call graph and vectors of a linked firmware."""
@@ -108,26 +116,26 @@ class Image:
                 to_visit.extend(self.callees(caller, idle_loop))
         return frozenset(reached)
 
-    def deepest(self, name: str, idle_loop: bool = True) -> tuple[int, list[str]]:
+    def deepest(self, name: str, idle_loop: bool = True) -> CallChain:
         """Return the call chain from a function that takes the most stack."""
-        measured: dict[str, tuple[int, list[str]]] = {}
+        measured: dict[str, CallChain] = {}
 
-        def measure(caller: str, above: tuple[str, ...]) -> tuple[int, list[str]]:
+        def measure(caller: str, above: tuple[str, ...]) -> CallChain:
             if caller in above:
                 raise ReportError(f"the stack has no bound: {caller} may call itself by {' > '.join(above)}")
             if caller not in measured:
                 below = [measure(callee, (*above, caller)) for callee in self.callees(caller, idle_loop)]
-                stack_below_bytes, chain = max(below, default=(0, []), key=lambda pair: pair[0])
-                stack_bytes = self.functions[caller].stack_bytes + stack_below_bytes
-                measured[caller] = (stack_bytes, [caller, *chain])
+                deepest_below = max(below, default=CallChain(0, []), key=lambda chain: chain.stack_bytes)
+                stack_bytes = self.functions[caller].stack_bytes + deepest_below.stack_bytes
+                measured[caller] = CallChain(stack_bytes, [caller, *deepest_below.functions])
             return measured[caller]
 
         return measure(name, ())
 
     def stack_needed_bytes(self) -> int:
         """Return the most stack that the idle loop and all interrupts, nested, may take."""
-        return self.deepest(ENTRY)[0] + sum(
-            EXCEPTION_FRAME_BYTES + self.deepest(name, idle_loop=False)[0] for name in INTERRUPTS
+        return self.deepest(ENTRY).stack_bytes + sum(
+            EXCEPTION_FRAME_BYTES + self.deepest(name, idle_loop=False).stack_bytes for name in INTERRUPTS
         )
 
 
@@ -169,7 +177,22 @@ def _goes_to_pointer(mnemonic: str, operands: str) -> bool:
     return mnemonic.startswith(("ldr", "mov")) and operands.startswith("pc,") and "[sp]" not in operands
 
 
-def _slots(body: list[tuple[int, str, str]]) -> frozenset[int | None]:
+class Instruction(NamedTuple):
+    """A line of the disassembly."""
+
+    address: int
+    mnemonic: str
+    operands: str
+
+
+class _Symbol(NamedTuple):
+    name: str
+    kind: str  # A letter, as nm prints it
+    address: int
+    size: int  # 0 where nm gives none
+
+
+def _slots(body: list[Instruction]) -> frozenset[int | None]:
     """Return how a function calls through pointers; see `Function.slots`.
 
     A virtual call loads the object's first word, then a word of the table that it points to. The content
@@ -184,6 +207,7 @@ def _slots(body: list[tuple[int, str, str]]) -> frozenset[int | None]:
     # A table of branches jumps to labels that are not read here.
     hidden_labels = any(mnemonic.startswith(("tbb", "tbh")) for _, mnemonic, _ in body)
     slots: set[int | None] = set()
+    # Registers that hold the address of a table, and those that hold a word of one, with its place.
     tables: set[str] = set()
     functions: dict[str, int] = {}
     for address, mnemonic, operands in body:
@@ -205,7 +229,7 @@ def _slots(body: list[tuple[int, str, str]]) -> frozenset[int | None]:
     return frozenset(slots)
 
 
-def _function(name: str, body: list[tuple[int, str, str]]) -> tuple[Function, set[int]]:
+def _function(name: str, body: list[Instruction]) -> tuple[Function, set[int]]:
     """Return a function, and the constants in its code that may be addresses."""
     calls: set[str] = set()
     constants: set[int] = set()
@@ -229,26 +253,30 @@ def _function(name: str, body: list[tuple[int, str, str]]) -> tuple[Function, se
     return Function(name, frozenset(calls), _slots(body), stack_bytes), constants
 
 
-def _disassembled(text: str) -> Iterable[tuple[str, list[tuple[int, str, str]]]]:
-    """Yield each function's name with its instructions: address, mnemonic, operands."""
+def _disassembled(text: str) -> Iterable[tuple[str, list[Instruction]]]:
+    """Yield each function's name with its instructions."""
     name = ""
-    body: list[tuple[int, str, str]] = []
+    body: list[Instruction] = []
     for line in text.splitlines():
         if head := _FUNCTION.match(line):
             yield name, body
             name, body = head[2], []
         elif instruction := _INSTRUCTION.match(line):
             operands = re.split(r"\s*[;@]\s", instruction[3] or "")[0].strip()
-            body.append((int(instruction[1], 16), instruction[2], operands))
+            body.append(Instruction(int(instruction[1], 16), instruction[2], operands))
     yield name, body
 
 
-def _symbols(elf: Path, cross: str) -> Iterable[tuple[str, str, int, int]]:
-    """Yield each symbol's name, kind, address and length in bytes; 0 where nm gives no length."""
+def _symbols(elf: Path, cross: str) -> Iterable[_Symbol]:
     for line in _run(cross, "nm", "-S", elf).splitlines():
         words = line.split()
         if len(words) in (3, 4) and not words[-1].startswith("$"):
-            yield words[-1], words[-2], int(words[0], 16), int(words[1], 16) if len(words) == 4 else 0
+            yield _Symbol(
+                name=words[-1],
+                kind=words[-2],
+                address=int(words[0], 16),
+                size=int(words[1], 16) if len(words) == 4 else 0,
+            )
 
 
 def _section_sizes(elf: Path, cross: str) -> dict[str, int]:

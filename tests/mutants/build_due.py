@@ -152,7 +152,7 @@ class _Probes:
 
     def take(self) -> set[int]:
         boards, self._boards = self._boards, []
-        return {address for board in boards for address in self._addresses if board.probe(address)[0] > 0}
+        return {address for board in boards for address in self._addresses if board.probe(address).count > 0}
 
 
 def _look(elf: Path, addresses: list[int], files: list[str]) -> dict[str, Any]:

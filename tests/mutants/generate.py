@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 _SKIPPED: Final = re.compile(
     r"""(?P<skip>
@@ -211,6 +211,15 @@ def sample(mutants: list[Mutant], seed: str, count: int | None) -> list[Mutant]:
     return places[:count]
 
 
+class _Change(NamedTuple):
+    """A replacement of the text between two offsets."""
+
+    start: int
+    end: int
+    kind: str
+    after: str
+
+
 class _Source:
     def __init__(self, file: str, text: str) -> None:
         self._file, self._text = file, text
@@ -231,10 +240,9 @@ class _Source:
             seen[stripped] += 1
         return [self._mutant(change, occurrence) for change in changes]
 
-    def _mutant(self, change: tuple[int, int, str, str], occurrence: dict[int, int]) -> Mutant:
-        start, end, kind, after = change
-        line, column = self._lines.at(start)
-        index = next(i for i, token in enumerate(self._tokens) if token.end > start)
+    def _mutant(self, change: _Change, occurrence: dict[int, int]) -> Mutant:
+        line, column = self._lines.at(change.start)
+        index = next(i for i, token in enumerate(self._tokens) if token.end > change.start)
         line_text = self._lines.text(line)
         return Mutant(
             file=self._file,
@@ -243,44 +251,43 @@ class _Source:
             source_line=line_text.strip(),
             occurrence=occurrence[line],
             column=column - (len(line_text) - len(line_text.lstrip())),
-            kind=kind,
-            before=self._text[start:end],
-            after=after,
-            start=start,
+            kind=change.kind,
+            before=self._text[change.start : change.end],
+            after=change.after,
+            start=change.start,
         )
 
-    def _changes(self, index: int) -> Iterator[tuple[int, int, str, str]]:
-        """Start, end, kind and replacement of what can be changed at a token."""
+    def _changes(self, index: int) -> Iterator[_Change]:
+        """What can be changed at a token."""
         if index in self._skipped:
             return
         token = self._tokens[index]
+        here = token.start, token.end
         if token.kind == "number" and not self._is_array_bound(index):
-            yield from ((token.start, token.end, "constant", other) for other in _other_numbers(token.text))
+            yield from (_Change(*here, "constant", other) for other in _other_numbers(token.text))
         elif token.text in ("true", "false"):
-            yield token.start, token.end, "constant", "false" if token.text == "true" else "true"
+            yield _Change(*here, "constant", "false" if token.text == "true" else "true")
         elif token.text in _BINARY and (token.spaced or self._ends_line(token)) and index > 0:
-            kind = (
-                "relation"
-                if token.text in _RELATIONS
-                else "logic"
-                if token.text in _LOGICAL
-                else "arithmetic"
-            )
-            yield from ((token.start, token.end, kind, other) for other in _BINARY[token.text])
+            kind = "arithmetic"
+            if token.text in _RELATIONS:
+                kind = "relation"
+            elif token.text in _LOGICAL:
+                kind = "logic"
+            yield from (_Change(*here, kind, other) for other in _BINARY[token.text])
             if token.text in _LOGICAL:
                 yield from self._dropped_operands(index)
             elif token.text in ("+", "-", "|"):
                 yield from self._dropped_term(index)
         elif token.text in ("++", "--"):
-            yield token.start, token.end, "arithmetic", "--" if token.text == "++" else "++"
+            yield _Change(*here, "arithmetic", "--" if token.text == "++" else "++")
         elif token.text in ("!", "-", "~") and not token.spaced and self._is_unary(index):
-            yield token.start, token.end, "logic" if token.text == "!" else "arithmetic", ""
+            yield _Change(*here, "logic" if token.text == "!" else "arithmetic", "")
         elif token.text in ("if", "while") and index in self._bodies:
             yield from self._conditions(index)
         if index in self._bodies and self._begin[index] == index:
             yield from self._deleted(index)
 
-    def _conditions(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+    def _conditions(self, index: int) -> Iterator[_Change]:
         opening = index + 1
         if self._tokens[opening].text != "(":  # if constexpr
             return
@@ -292,23 +299,24 @@ class _Source:
         declares = re.match(r"(?:const\s+)?[\w:]+[*&]*\s[*&]*\w+\s=[^=]", condition) is not None
         if not declares:
             if not _is_comparison(self._tokens[opening + 1 : closing]):
-                yield start, end, "condition", f"!({condition})"
-            yield start, end, "condition", "false"
+                yield _Change(start, end, "condition", f"!({condition})")
+            yield _Change(start, end, "condition", "false")
             if self._tokens[index].text == "if":
-                yield start, end, "condition", "true"
+                yield _Change(start, end, "condition", "true")
 
-    def _dropped_operands(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+    def _dropped_operands(self, index: int) -> Iterator[_Change]:
+        """Without the operand on the right of `&&` or `||`, then without that on the left."""
         token = self._tokens[index]
         right = index + 1
         while self._tokens[right].text not in _ENDS_RIGHT | {token.text}:
             right = self._partner.get(right, right) + 1
-        yield token.start, self._tokens[right - 1].end, "operand", ""
+        yield _Change(token.start, self._tokens[right - 1].end, "operand", "")
         left = index - 1
         while left >= 0 and self._tokens[left].text not in _ENDS_LEFT | {token.text}:
             left = min(self._partner.get(left, left), left) - 1
-        yield self._tokens[left + 1].start, self._tokens[index + 1].start, "operand", ""
+        yield _Change(self._tokens[left + 1].start, self._tokens[index + 1].start, "operand", "")
 
-    def _dropped_term(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+    def _dropped_term(self, index: int) -> Iterator[_Change]:
         """Without the term on the right of a sum."""
         right = index + 1
         while not (
@@ -320,9 +328,9 @@ class _Source:
             )
         ):
             right = self._partner.get(right, right) + 1
-        yield self._tokens[index].start, self._tokens[right - 1].end, "operand", ""
+        yield _Change(self._tokens[index].start, self._tokens[right - 1].end, "operand", "")
 
-    def _deleted(self, index: int) -> Iterator[tuple[int, int, str, str]]:
+    def _deleted(self, index: int) -> Iterator[_Change]:
         start, end = self._tokens[index].start, self._tokens[self._end[index]].end
         statement = self._text[start:end]
         if not statement.endswith(";"):
@@ -330,7 +338,7 @@ class _Source:
         if statement in _JUMPS or (
             self._tokens[index].text not in _NO_EXPRESSION and _EXPRESSION.match(statement)
         ):
-            yield start, end, "statement", ";"
+            yield _Change(start, end, "statement", ";")
 
     def _is_unary(self, index: int) -> bool:
         before = self._tokens[index - 1]

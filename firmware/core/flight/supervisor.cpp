@@ -56,7 +56,14 @@ std::uint8_t as_byte(Enum value) {
   return static_cast<std::uint8_t>(value);
 }
 
-// `field`: position in the declaration; on the wire, `request` precedes the first field.
+// Positions of the fields in the declaration; on the wire, `request` precedes the first one.
+namespace control_field {
+enum : std::uint8_t { axes, front_V, back_V };
+}  // namespace control_field
+namespace excite_field {
+enum : std::uint8_t { kind, front_V, back_V, start_Hz, stop_Hz, duration_s, seed };
+}  // namespace excite_field
+
 Reply bad_value(std::uint8_t field, float value = 0.0F) {
   return {Result::bad_value, static_cast<std::uint8_t>(field + 1U), value};
 }
@@ -258,13 +265,13 @@ Reply Supervisor::control(const link::ControlMessage& message) {
   const bool travel_alone =
       (requested_axes & link::axes::travel) != 0U && (requested_axes & link::axes::pitch) == 0U;
   if ((requested_axes & ~kAllAxes) != 0U || travel_alone) {
-    return bad_value(0, static_cast<float>(requested_axes));
+    return bad_value(control_field::axes, static_cast<float>(requested_axes));
   }
   if (!in_range(message.front_V, limits_->motor_min_V, limits_->motor_max_V)) {
-    return bad_value(1, message.front_V);
+    return bad_value(control_field::front_V, message.front_V);
   }
   if (!in_range(message.back_V, limits_->motor_min_V, limits_->motor_max_V)) {
-    return bad_value(2, message.back_V);
+    return bad_value(control_field::back_V, message.back_V);
   }
   const auto newly_closed_axes = static_cast<std::uint8_t>(requested_axes & ~axes());
   if (!trigger(requested_axes != 0U ? Trigger::close_loop : Trigger::open_loop)) {
@@ -289,28 +296,28 @@ Reply Supervisor::excite(const link::ExciteMessage& message) {
   }
   const auto kind = static_cast<link::Excitation>(message.kind);
   if (message.kind == 0U || message.kind >= link::kExcitationCount) {
-    return bad_value(0, static_cast<float>(message.kind));
+    return bad_value(excite_field::kind, static_cast<float>(message.kind));
   }
   if (magnitude(message.front_V) > limits_->excitation_max_V) {
-    return bad_value(1, message.front_V);
+    return bad_value(excite_field::front_V, message.front_V);
   }
   if (magnitude(message.back_V) > limits_->excitation_max_V) {
-    return bad_value(2, message.back_V);
+    return bad_value(excite_field::back_V, message.back_V);
   }
   const bool has_frequency_band =
       kind == link::Excitation::chirp || kind == link::Excitation::multisine;
   if (has_frequency_band && !in_range(message.start_Hz, 0.0F, kNyquist_Hz)) {
-    return bad_value(3, message.start_Hz);
+    return bad_value(excite_field::start_Hz, message.start_Hz);
   }
   if ((has_frequency_band && !in_range(message.stop_Hz, message.start_Hz, kNyquist_Hz)) ||
       (kind == link::Excitation::prbs && !in_range(message.stop_Hz, 0.01F, kNyquist_Hz))) {
-    return bad_value(4, message.stop_Hz);
+    return bad_value(excite_field::stop_Hz, message.stop_Hz);
   }
   if (!in_range(message.duration_s, control::kTick_s, limits_->excitation_max_s)) {
-    return bad_value(5, message.duration_s);
+    return bad_value(excite_field::duration_s, message.duration_s);
   }
   if (kind == link::Excitation::prbs && message.seed == 0U) {
-    return bad_value(6);
+    return bad_value(excite_field::seed);
   }
   end_excitation();
   exciter_.start(message);
