@@ -212,9 +212,9 @@ def law_costs(elf: Path) -> dict[str, float]:
     for name in ("lqi", "mpc"):
         flight = Flight(elf, read_image(elf), (LAW_UPDATE,))
         fly_and_steer(flight, law_of(ROOT / "docs" / "laws" / f"{name}.py").program, 5.0)
-        instructions[f"law_{name}_tick_instructions"] = flight.tick()[2]
+        instructions[f"law_{name}_tick_instructions"] = flight.tick_cost().max_instructions
         if name == "lqi":
-            instructions["law_lqi_instructions"] = flight.function(LAW_UPDATE)[2]
+            instructions["law_lqi_instructions"] = flight.function_cost(LAW_UPDATE).max_instructions
     return instructions
 
 

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from due_emulator import new_due
+from due_emulator import ExceptionStats, ProbeStats, new_due
 from due_emulator import read_image as read_program
 from heli_host.board.heli import Heli
 from heli_host.declaration import Axes, Param, ParamSetMessage, State
@@ -61,19 +61,13 @@ class Flight:
             self.board.due.add_probe(address)
         self.heli: Heli = self.board.connect()
 
-    def tick(self) -> tuple[int, int, int]:
-        """Number of ticks, their instructions, and those of the longest."""
-        count, total, most, _ = self.board.due.exception_stats(TICK_INTERRUPT)
-        return count, total, most
+    def tick_cost(self) -> ExceptionStats:
+        """What the ticks cost so far."""
+        return self.board.due.exception_stats(TICK_INTERRUPT)
 
-    def function(self, probe: str) -> tuple[int, int, int]:
-        """Number of calls of a probed function, their instructions, and those of the longest."""
-        count, total, most, _ = self.board.due.probe(self.addresses[probe])
-        return count, total, most
-
-    def edge(self) -> int:
-        """Instructions of the longest encoder interrupt."""
-        return self.board.due.exception_stats(TRAVEL_INTERRUPT)[2]
+    def function_cost(self, probe: str) -> ProbeStats:
+        """What the calls of a probed function cost so far."""
+        return self.board.due.probe(self.addresses[probe])
 
     def sweep(self, seconds: float, max_deg: float = 5.0) -> None:
         """Stream setpoints that keep all three axes moving and both shapers braking."""
@@ -95,14 +89,14 @@ def _excited(flight: Flight) -> None:
     heli = flight.heli
     heli.take_off(0.0)
     for kind in EXCITATIONS:
-        heli.excite(kind, 0.2, -0.15, start_Hz=0.3, stop_Hz=5.0, duration_s=0.8)
+        heli.excite(kind, front_V=0.2, back_V=-0.15, start_Hz=0.3, stop_Hz=5.0, duration_s=0.8)
         flight.sweep(1.0)
-    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
+    heli.excite("multisine", front_V=0.2, back_V=0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
     flight.sweep(0.4)
     heli.control(HOVERING)
-    flight.sweep(0.6, 3.0)
+    flight.sweep(0.6, max_deg=3.0)
     heli.control()
-    flight.sweep(0.6, 3.0)
+    flight.sweep(0.6, max_deg=3.0)
     heli.land()
 
 
@@ -110,7 +104,7 @@ def _abandoned(flight: Flight) -> None:
     heli = flight.heli
     heli.take_off(2.0)
     flight.sweep(1.0)
-    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
+    heli.excite("multisine", front_V=0.2, back_V=0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
     heli.keep_alive = False
     heli.session.wait_for(lambda: heli.session.state is State.HOLD, 3.0)
     heli.session.wait_for(lambda: heli.session.state is State.LANDING, 5.0)
@@ -121,15 +115,15 @@ def _streamed(flight: Flight) -> None:
     heli = flight.heli
     heli.arm()
     heli.stream()
-    heli.excite("multisine", 0.3, 0.3, start_Hz=0.3, stop_Hz=5.0, duration_s=2.0)
+    heli.excite("multisine", front_V=0.3, back_V=0.3, start_Hz=0.3, stop_Hz=5.0, duration_s=2.0)
     for _ in range(50):
-        heli.voltages(1.5, 1.4)
+        heli.voltages(front_V=1.5, back_V=1.4)
         heli.wait(0.01)
     heli.land()
     heli.wait(2.0)
     heli.arm()
     heli.control(Axes(0), front_V=1.6, back_V=1.5)
-    heli.excite("prbs", 0.3, 0.3, stop_Hz=20.0, duration_s=1.0)
+    heli.excite("prbs", front_V=0.3, back_V=0.3, stop_Hz=20.0, duration_s=1.0)
     heli.wait(0.5)
     heli.stop()
 
@@ -137,12 +131,14 @@ def _streamed(flight: Flight) -> None:
 def _tripped(flight: Flight) -> None:
     heli = flight.heli
     heli.take_off(2.0)
-    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
+    heli.excite("multisine", front_V=0.2, back_V=0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
     flight.sweep(0.5)
     # 17 degrees in a millisecond: rates beyond their limits.
     for axis in range(3):
         for k in range(190):
-            flight.board.due.schedule_step(axis, 1, flight.board.due.now_us + 10.0 + 5.0 * k)
+            flight.board.due.schedule_step(
+                axis, direction=1, when_us=flight.board.due.now_us + 10.0 + 5.0 * k
+            )
     heli.session.wait_for(lambda: heli.session.state is State.FAULT, 25.0)
     heli.clear_fault()
 
@@ -150,7 +146,7 @@ def _tripped(flight: Flight) -> None:
 def _stopped(flight: Flight) -> None:
     heli = flight.heli
     heli.take_off(0.0)
-    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
+    heli.excite("multisine", front_V=0.2, back_V=0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=10.0)
     flight.sweep(0.5)
     flight.board.press_stop()
     heli.session.wait_for(lambda: heli.session.state is State.FAULT, 1.0)
@@ -159,13 +155,13 @@ def _stopped(flight: Flight) -> None:
 def _crowded(flight: Flight) -> None:
     heli = flight.heli
     heli.take_off(0.0)
-    heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=30.0)
+    heli.excite("multisine", front_V=0.2, back_V=0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=30.0)
     for k in range(40):
         # The USB bridge delivers everything that it kept together: as many setpoints as the board queues,
         # and a command.
         for axis_deg in range(4):
             heli.setpoint(elevation_deg=0.1 * k, pitch_deg=2.0 * axis_deg, travel_deg=0.2 * k)
-        heli.excite("multisine", 0.2, 0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=30.0)
+        heli.excite("multisine", front_V=0.2, back_V=0.2, start_Hz=0.3, stop_Hz=5.0, duration_s=30.0)
         heli.wait(0.0013 * (k % 8))
     heli.stop()
 
@@ -207,18 +203,20 @@ def measure_pid_v1(cross: str = "arm-none-eabi-") -> int:
         due.add_probe(address)
         due.power_on()
         due.run_us(20_000.0)
-        return due.probe(address)[2]
+        return due.probe(address).max_instructions
 
 
 def measure_costs(elf: Path) -> Costs:
     """Fly the firmware through its most expensive flights and count."""
     flights = fly_the_worst(elf)
-    ticks = [flight.tick() for flight in flights]
+    ticks = [flight.tick_cost() for flight in flights]
     return Costs(
-        tick_instructions_max=max(most for _, _, most in ticks),
-        tick_instructions_mean=sum(total for _, total, _ in ticks) / sum(count for count, _, _ in ticks),
-        cascade_instructions_max=max(flight.function(CASCADE)[2] for flight in flights),
-        encoder_isr_instructions_max=max(flight.edge() for flight in flights),
+        tick_instructions_max=max(tick.max_instructions for tick in ticks),
+        tick_instructions_mean=sum(tick.instructions for tick in ticks) / sum(tick.count for tick in ticks),
+        cascade_instructions_max=max(flight.function_cost(CASCADE).max_instructions for flight in flights),
+        encoder_isr_instructions_max=max(
+            flight.board.due.exception_stats(TRAVEL_INTERRUPT).max_instructions for flight in flights
+        ),
         pid_v1_three_loops_instructions=measure_pid_v1(),
     )
 

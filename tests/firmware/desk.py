@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -317,7 +317,7 @@ class Hang:
         if self.code:
             board.due.poke(address, self.code)
         if self.edge:
-            board.due.schedule_step(TRAVEL, 1, board.due.now_us + 1.0)
+            board.due.schedule_step(TRAVEL, direction=1, when_us=board.due.now_us + 1.0)
         if self.stopped_timer:
             board.due.poke(TICK_TIMER_CONTROL, struct.pack("<I", CLOCK_DISABLE))
         try:
@@ -374,7 +374,11 @@ def boot_to_first_frame_ms(board: Board) -> float:
     parser = FrameParser()
     for k in range(PATIENCE_MS):
         if k % HELLO_INTERVAL_MS == 0:
-            board.write(encode_frame(MessageId.HELLO, k & 0xFF, HelloMessage(1, LINK_HASH, 1).pack()))
+            board.write(
+                encode_frame(
+                    MessageId.HELLO, k & 0xFF, HelloMessage(request=1, link_hash=LINK_HASH, session=1).pack()
+                )
+            )
         if parser.feed(board.advance(1)):
             return 1e-3 * (board.due.now_us - start_us)
     raise AssertionError("the board sends nothing")
@@ -398,7 +402,7 @@ def _frames_ok(board: Board) -> int:
 def rx_lost_bytes(board: Board) -> int:
     """Send 20,000 bytes in a row under full telemetry; how many of them the firmware did not get."""
     board.advance(20)
-    hello = encode_frame(MessageId.HELLO, 0, HelloMessage(1, LINK_HASH, 1).pack())
+    hello = encode_frame(MessageId.HELLO, 0, HelloMessage(request=1, link_hash=LINK_HASH, session=1).pack())
     _exchange(board, hello, MessageId.WELCOME)
     before = _frames_ok(board)
     size = len(encode_frame(MessageId.PING, 0, PingMessage(0, 0).pack()))
@@ -427,10 +431,10 @@ def travel_counts_lost(board: Board) -> int:
         board.due.schedule_step(Axis.TRAVEL, direction, start_us + 10.0 + EDGE_INTERVAL_US * k)
     heli.wait(1e-6 * EDGES * EDGE_INTERVAL_US + 0.02)
     assert heli.motors_may_run, "the flight ended while edges came"
-    handled = board.due.exception_stats(TRAVEL_INTERRUPT)[0]
+    handled = board.due.exception_stats(TRAVEL_INTERRUPT).count
     latest = heli.session.latest
     assert latest is not None
-    miscounted = abs(int(latest[1][Channel.TRAVEL_COUNT]) - net)
+    miscounted = abs(int(latest.raw[Channel.TRAVEL_COUNT]) - net)
     return EDGES - handled + miscounted + heli.session.status().illegal_travel
 
 
@@ -514,6 +518,16 @@ def store(board: Board, address: int, value: int) -> None:
     board.due.poke(address, struct.pack("<I", value))
 
 
-def recorded(board: Board) -> list[int]:
-    """Record, PC, LR, CFSR, BFAR and number of boots."""
-    return [board.register(GPBR + 4 * k) for k in range(6)]
+class FaultRecord(NamedTuple):
+    """What the board keeps of a fault over a reset, in the order of its backup registers."""
+
+    record: int
+    pc: int
+    lr: int
+    cfsr: int
+    bfar: int
+    boots: int
+
+
+def recorded(board: Board) -> FaultRecord:
+    return FaultRecord(*(board.register(GPBR + 4 * k) for k in range(6)))

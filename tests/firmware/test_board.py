@@ -57,7 +57,7 @@ def counted(heli: Heli) -> npt.NDArray[np.int32]:
     """Counts of elevation, pitch and travel in the newest tick."""
     latest = heli.session.latest
     assert latest is not None
-    return latest[1][COUNTS]
+    return latest.raw[COUNTS]
 
 
 def test_a_flight_goes_where_it_is_sent_and_ends_on_the_table(elf: Path, image: Image) -> None:
@@ -87,9 +87,9 @@ def test_processor_sleeps_when_there_is_nothing_to_do(board: Board) -> None:
 
 def test_ticks_come_once_a_millisecond(board: Board) -> None:
     board.advance(20)
-    before = board.due.exception_stats(TICK_INTERRUPT)[0]
+    before = board.due.exception_stats(TICK_INTERRUPT).count
     board.advance(3000)
-    assert abs(board.due.exception_stats(TICK_INTERRUPT)[0] - before - 3000) <= 1
+    assert abs(board.due.exception_stats(TICK_INTERRUPT).count - before - 3000) <= 1
 
 
 def test_both_flash_banks_have_the_wait_states_of_84_MHz(board: Board) -> None:
@@ -116,13 +116,13 @@ def test_no_travel_edge_is_lost_at_200000_a_second(board: Board, heli: Heli) -> 
     start_us = board.due.now_us
     board.due.clear_stats()
     for k in range(edges):
-        board.due.schedule_step(2, 1, start_us + 10.0 + 5.0 * k)
+        board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=start_us + 10.0 + 5.0 * k)
     heli.wait(0.05)
     assert counted(heli)[2] == edges
     assert heli.session.status().illegal_travel == 0
-    count, _, max_instructions, _ = board.due.exception_stats(TRAVEL_INTERRUPT)
-    assert count == edges
-    assert max_instructions <= 60
+    handler = board.due.exception_stats(TRAVEL_INTERRUPT)
+    assert handler.count == edges
+    assert handler.max_instructions <= 60
 
 
 def test_no_travel_edge_is_lost_while_the_law_flies(board: Board) -> None:
@@ -264,7 +264,7 @@ def test_the_board_hears_again_after_a_stall_that_filled_its_receive_ring(
 
 def test_bytes_that_find_no_room_are_lost_and_no_older_ones(board: Board) -> None:
     board.connect()
-    # So that the watchdog bears with two stalls in a row.
+    # The slow clock [Hz] runs the watchdog, which must bear with two stalls in a row.
     board.due.set_slow_clock(20_000)
     pings = [encode_frame(MessageId.PING, k, PingMessage(0, k).pack()) for k in range(150)]
     board.due.hold_processor(True)
@@ -273,7 +273,7 @@ def test_bytes_that_find_no_room_are_lost_and_no_older_ones(board: Board) -> Non
     board.write(b"".join(pings))
     board.advance(50)
     board.due.hold_processor(False)
-    # They still come when the board has begun to fetch them, and once more does not.
+    # The bytes that found room still arrive if the processor stalls again after it has begun to fetch them.
     board.due.run_us(200.0)
     board.due.hold_processor(True)
     sent = board.advance(50)
@@ -299,7 +299,7 @@ def test_answers_that_wait_for_the_line_overwrite_nothing_that_is_being_sent(boa
     board.advance(20)
     parser = FrameParser()
     sent_values = [
-        encode_frame(MessageId.HELLO, 0, HelloMessage(1, LINK_HASH, 1).pack()),
+        encode_frame(MessageId.HELLO, 0, HelloMessage(request=1, link_hash=LINK_HASH, session=1).pack()),
         *(encode_frame(MessageId.PARAMS_READ, 1 + k, ParamsReadMessage(2 + k, 0).pack()) for k in range(60)),
     ]
     board.write(b"".join(sent_values))
@@ -348,8 +348,8 @@ def test_an_edge_that_bounces_back_at_any_moment_leaves_the_count_where_it_was(b
     board.advance(20)
     for cycles in range(1, 90):
         start_us = board.due.now_us + 1.0
-        board.due.schedule_step(2, 1, start_us)
-        board.due.schedule_step(2, -1, start_us + cycles / CYCLES_PER_US)
+        board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=start_us)
+        board.due.schedule_step(Axis.TRAVEL, direction=-1, when_us=start_us + cycles / CYCLES_PER_US)
         board.due.run_us(20.0)
         assert (word(board, TRAVEL_COUNT), word(board, TRAVEL_ILLEGAL)) == (0, 0), f"after {cycles} cycles"
 
@@ -363,8 +363,8 @@ def test_where_the_travel_encoder_stands_at_the_start_is_its_zero(
     board.due.set_encoder(2, steps)
     board.restore_power()
     board.advance(20)
-    board.due.schedule_step(2, 1, board.due.now_us + 10.0)
-    board.due.schedule_step(2, 1, board.due.now_us + 30.0)
+    board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=board.due.now_us + 10.0)
+    board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=board.due.now_us + 30.0)
     board.advance(1)
     assert (word(board, TRAVEL_COUNT), word(board, TRAVEL_ILLEGAL)) == (2, 0)
 
@@ -373,15 +373,15 @@ def test_travel_counts_every_step_in_both_directions(board: Board) -> None:
     board.advance(20)
     place = 0
     for direction in (1, 1, 1, 1, 1, -1, 1, 1, -1, -1, -1, -1, -1, -1, -1, -1, -1, 1):
-        board.due.schedule_step(2, direction, board.due.now_us + 5.0)
+        board.due.schedule_step(Axis.TRAVEL, direction, board.due.now_us + 5.0)
         board.due.run_us(20.0)
         place += direction
         assert (word(board, TRAVEL_COUNT), word(board, TRAVEL_ILLEGAL)) == (place, 0)
-    assert board.due.exception_stats(TRAVEL_INTERRUPT)[0] == 18
+    assert board.due.exception_stats(TRAVEL_INTERRUPT).count == 18
 
 
 def test_a_spike_shorter_than_a_clock_is_no_stop_and_a_longer_one_is(board: Board, heli: Heli) -> None:
-    open_loop(heli, 6.0, 3.0)
+    open_loop(heli, front_V=6.0, back_V=3.0)
     board.due.set_pin(STOP_PIN, "high")
     board.due.set_pin(STOP_PIN, "low")
     heli.wait(0.02)
@@ -396,7 +396,7 @@ def test_a_spike_shorter_than_a_clock_is_no_stop_and_a_longer_one_is(board: Boar
 
 
 def test_a_stop_that_bounces_keeps_the_outputs_low_until_the_enables_are(board: Board, heli: Heli) -> None:
-    open_loop(heli, 6.0, 3.0)
+    open_loop(heli, front_V=6.0, back_V=3.0)
     # Between two ticks, so that the next one finds the switch open again.
     board.due.run_us(500.0)
     for open_us, closed_us in ((2.0, 5.0), (1.0, 20.0), (5.0, 1.0)):
@@ -422,7 +422,7 @@ def test_a_stop_that_bounces_keeps_the_outputs_low_until_the_enables_are(board: 
 def test_stopping_takes_the_outputs_low_at_once_and_not_at_the_end_of_their_period(
     board: Board, heli: Heli
 ) -> None:
-    open_loop(heli, 9.5, 9.5)
+    open_loop(heli, front_V=9.5, back_V=9.5)
     for _ in range(6):
         board.due.glitch_encoder(2)
         board.due.run_us(5.0)

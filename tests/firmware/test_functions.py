@@ -291,11 +291,12 @@ def test_a_frame_is_read_only_if_all_of_it_is_on_the_stack(
     resets = idle.due.resets
     enter(idle, "fault_handler", frame)
     while idle.due.resets == resets:
-        record, pc, lr, *_ = recorded(idle)
+        fault = recorded(idle)
         idle.due.step()
-    assert (pc, lr) == ((0x1006, 0x1005) if kept else (0, 0))
+    # The processor's frame is r0 to r3, r12, LR, PC, xPSR: its words 5 and 6, as they were numbered above.
+    assert (fault.pc, fault.lr) == ((0x1006, 0x1005) if kept else (0, 0))
     # Called by the idle loop, and by no exception.
-    assert record == MAGIC | Fault.UNEXPECTED_INTERRUPT
+    assert fault.record == MAGIC | Fault.UNEXPECTED_INTERRUPT
 
 
 def test_random_bits_leave_their_generator_off(idle: Board) -> None:

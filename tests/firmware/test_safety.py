@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from heli_host.board.heli import Heli
-from heli_host.declaration import Axes, Fault, Reset, State
+from heli_host.declaration import Axes, Axis, Fault, Reset, State
 from heli_host.errors import HeliError
 from heli_host.link.events import BOARD_RESTARTED
 
@@ -212,10 +212,10 @@ def test_endless_recursion_is_a_fault_though_no_memory_ends_there(elf: Path, ima
 
 
 def send_travel_edges(board: Board, edges_per_s: float, milliseconds: int, direction: int = 0) -> None:
-    """Edges of travel at that rate from now on, back and forth or in one direction."""
+    """Edges of travel at that rate from now on, in one direction; 0 turns back at each edge."""
     start_us = board.due.now_us + 1.0
     for k in range(round(1e-3 * milliseconds * edges_per_s)):
-        board.due.schedule_step(2, direction or (1, -1)[k % 2], start_us + 1e6 * k / edges_per_s)
+        board.due.schedule_step(Axis.TRAVEL, direction or (1, -1)[k % 2], start_us + 1e6 * k / edges_per_s)
 
 
 @pytest.mark.parametrize("direction", [0, 1])
@@ -228,14 +228,14 @@ def test_edges_too_fast_to_count_switch_off_and_inform_the_host(
     heli.wait(0.05)
     assert max(board.duties()) > 0.05
     overruns = heli.session.status().overruns
-    ticks = board.due.exception_stats(TICK_INTERRUPT)[0]
+    ticks = board.due.exception_stats(TICK_INTERRUPT).count
     start_us = board.due.now_us
-    send_travel_edges(board, edges_per_s, 150, direction)
+    send_travel_edges(board, edges_per_s=edges_per_s, milliseconds=150, direction=direction)
     assert board.milliseconds_until_off() <= 2 * A_TICK_MS
     heli.wait(0.1)
     # The flood goes on: the tick does too, and so does the link.
     elapsed_ms = 1e-3 * (board.due.now_us - start_us)
-    assert abs(board.due.exception_stats(TICK_INTERRUPT)[0] - ticks - elapsed_ms) <= 1
+    assert abs(board.due.exception_stats(TICK_INTERRUPT).count - ticks - elapsed_ms) <= 1
     # The flood may begin within a tick: then the first tick has only a step of hundreds of counts.
     assert heli.fault in (Fault.ENCODER_OVERLOAD, Fault.TRAVEL_STEP)
     [event] = [event for event in heli.session.events if event.kind == "fault"]
@@ -253,7 +253,7 @@ def test_edges_too_fast_to_count_switch_off_and_inform_the_host(
 
 def test_200000_edges_a_second_are_no_overload(board: Board, heli: Heli) -> None:
     heli.arm()
-    send_travel_edges(board, 2e5, 100)
+    send_travel_edges(board, edges_per_s=2e5, milliseconds=100)
     heli.wait(0.1)
     assert board.on()
 
@@ -448,14 +448,14 @@ def test_a_fault_is_recorded_with_its_place_its_caller_and_its_cause(
     board.due.poke(address, code)
     halt_at(board, "fault_handler")
     while board.due.resets == resets:
-        record, pc, lr, cfsr, bfar, _ = recorded(board)
+        fault = recorded(board)
         board.due.step()
     board.due.poke(address, original_code)
-    assert pc == address + place
-    assert board.due.describe(lr).startswith("heli::due::run()")
-    assert record == MAGIC | HARD_FAULT << 8 | Fault.HARD_FAULT
-    assert cfsr & flag
-    assert flag != BFARVALID or bfar == NOWHERE
+    assert fault.pc == address + place
+    assert board.due.describe(fault.lr).startswith("heli::due::run()")
+    assert fault.record == MAGIC | HARD_FAULT << 8 | Fault.HARD_FAULT
+    assert fault.cfsr & flag
+    assert flag != BFARVALID or fault.bfar == NOWHERE
     welcome = board.connect().session.welcome
     assert (welcome.reset, welcome.boot_fault) == (Reset.SOFTWARE, Fault.HARD_FAULT)
 
@@ -465,7 +465,7 @@ def test_an_unexpected_interrupt_is_recorded_with_its_number(board: Board) -> No
     resets = board.due.resets
     pend(board, 8)
     while board.due.resets == resets:
-        record = recorded(board)[0]
+        record = recorded(board).record
         board.due.step()
     assert record == MAGIC | (16 + 8) << 8 | Fault.UNEXPECTED_INTERRUPT
 
@@ -487,12 +487,12 @@ def test_no_interrupt_gets_between_giving_up_and_the_reset(board: Board) -> None
     store(board, board.image.symbols["__stack_bottom"], 0)
     halt_at(board, GIVE_UP)
     resets = board.due.resets
-    served = board.due.exception_stats(TRAVEL_INTERRUPT)[0]
+    served = board.due.exception_stats(TRAVEL_INTERRUPT).count
     for _ in range(10):
         board.due.step()
-    board.due.schedule_step(2, 1, board.due.now_us)
+    board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=board.due.now_us)
     board.wait_for_reset(resets)
-    assert board.due.exception_stats(TRAVEL_INTERRUPT)[0] == served
+    assert board.due.exception_stats(TRAVEL_INTERRUPT).count == served
 
 
 def hang(board: Board) -> Fault:

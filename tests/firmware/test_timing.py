@@ -35,8 +35,8 @@ CYCLES_PER_US = 84.0
 
 def tick_end(board: Board) -> float:
     """Let time pass until a tick has been served; when it was due [us], to about a microsecond."""
-    served = board.due.exception_stats(TICK_INTERRUPT)[0]
-    while board.due.exception_stats(TICK_INTERRUPT)[0] == served:
+    served = board.due.exception_stats(TICK_INTERRUPT).count
+    while board.due.exception_stats(TICK_INTERRUPT).count == served:
         board.due.run_us(1.0)
     return float(board.due.now_us)
 
@@ -75,7 +75,7 @@ def test_ticks_that_nobody_served_make_the_next_one_late_by_their_number(
 def test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick(board: Board, heli: Heli) -> None:
     heli.wait(0.02)
     tick_end(board)
-    served, entered = board.due.exception_stats(TICK_INTERRUPT)[0], entered_us(board)
+    served, entered = board.due.exception_stats(TICK_INTERRUPT).count, entered_us(board)
     halt_at(board, TICK, max_us=1500.0)
     board.due.hold_processor(True)
     board.due.run_us(1400.0)
@@ -86,7 +86,7 @@ def test_a_tick_that_takes_longer_than_its_millisecond_is_one_late_tick(board: B
     assert 1400 <= status.tick_max_us <= 1400 + QUIET_TICK_US
     # The one after it comes late too, but it comes.
     tick_end(board)
-    ticks = board.due.exception_stats(TICK_INTERRUPT)[0] - served
+    ticks = board.due.exception_stats(TICK_INTERRUPT).count - served
     assert ticks == round(1e-3 * (entered_us(board) - entered))
 
 
@@ -106,27 +106,27 @@ def test_a_tick_at_any_moment_of_the_idle_loop_is_followed_by_its_work_at_once(b
     due = board.due
     due.add_breakpoint(board.image.symbols[POLL] & ~1)
 
-    def turns_within(us: float) -> bool:
+    def idle_loop_turns_within(us: float) -> bool:
         due.run_us(us)
-        turned = due.halt == "breakpoint"
+        is_turning = due.halt == "breakpoint"
         due.resume()
-        return turned
+        return is_turning
 
-    assert turns_within(1500.0)
+    assert idle_loop_turns_within(1500.0)
     asleep, steps = due.sleep_cycles, 0
     while due.sleep_cycles == asleep:
         due.step()
         steps += 1
-    # Behind the idle loop's work, up to its sleep.
+    # The last 60 instructions of a turn: behind the idle loop's work, up to its sleep.
     for instructions in range(steps - 60, steps + 1):
-        assert turns_within(1500.0)
+        assert idle_loop_turns_within(1500.0)
         ticked_us = entered_us(board)
         for _ in range(instructions):
             due.step()
         due.hold_processor(True)
         due.run_until_us(ticked_us + 1001.0)
         due.hold_processor(False)
-        assert turns_within(150.0), f"a tick came after {instructions} of {steps} instructions"
+        assert idle_loop_turns_within(150.0), f"a tick came after {instructions} of {steps} instructions"
 
 
 def test_the_watchdog_is_restarted_every_16_ticks_and_no_oftener(board: Board) -> None:
@@ -196,7 +196,7 @@ def test_late_ticks_from_before_arming_are_no_fault_and_later_ones_are(board: Bo
 def test_an_arm_that_was_zeroed_just_now_is_not_moving(board: Board, heli: Heli) -> None:
     for axis in range(3):
         for k in range(400):
-            board.due.schedule_step(axis, 1, board.due.now_us + 10.0 + 100.0 * k)
+            board.due.schedule_step(axis, direction=1, when_us=board.due.now_us + 10.0 + 100.0 * k)
         heli.wait(0.05)
     heli.wait(0.2)
     heli.zero()
@@ -221,5 +221,5 @@ def test_a_hold_stays_where_it_began_on_every_axis_that_it_holds(heli: Heli) -> 
     assert heli.state is State.HOLD
     latest = heli.session.latest
     assert latest is not None
-    setpoints_deg = np.degrees(1e-5 * latest[1][[Channel.ELEVATION_SETPOINT, Channel.TRAVEL_SETPOINT]])
+    setpoints_deg = np.degrees(1e-5 * latest.raw[[Channel.ELEVATION_SETPOINT, Channel.TRAVEL_SETPOINT]])
     assert setpoints_deg == pytest.approx([-25.0, 0.0], abs=0.2)

@@ -176,7 +176,7 @@ def flown(case: Case) -> Flown:
             restarts=after.restarts,
         )
     world.advance(round(1e3 * _DOWN_S))
-    since = newest[0] if newest is not None else 0
+    since = newest.tick if newest is not None else 0
     return Flown(case, summary.outcome, received, delivered, counters, since, list(world.native.volts_V))
 
 

@@ -61,7 +61,7 @@ def turn_unseen(world: SilWorld, axis: int, turn_deg: float, *, unseen: bool = T
 
 
 def hello_frame(seq: int = 0) -> bytes:
-    return encode_frame(MessageId.HELLO, seq, HelloMessage(1, LINK_HASH, 77).pack())
+    return encode_frame(MessageId.HELLO, seq, HelloMessage(request=1, link_hash=LINK_HASH, session=77).pack())
 
 
 class Host:

@@ -512,8 +512,8 @@ def dtr(heli: Heli, level: bool) -> None:
 @pytest.mark.medium
 def test_a_session_survives_a_reset_by_the_line(elf: Path) -> None:
     with served({"board": "due", "elf": str(elf)}) as due, heli_host.connect(due.url) as heli:
-        dtr(heli, False)
-        dtr(heli, True)
+        dtr(heli, level=False)
+        dtr(heli, level=True)
         assert heli.session.wait_for(lambda: heli.counters.restarts == 1, 30.0)
         (restart,) = [event for event in heli.session.events if event.kind == BOARD_RESTARTED]
         assert "user" in restart.text

@@ -121,11 +121,13 @@ std::uint32_t Bus::read(std::uint32_t address, std::uint32_t size) {
     return value;
   }
   if (inside(address, kRamBitBand, kBitBandSize)) {
-    // Each byte of SRAM has 32 bytes here, each bit 4.
+    // Bit-banding: each byte of SRAM has 32 bytes here, each bit 4, so bits 2 to 4 of the offset
+    // are the number of the bit.
     const std::uint32_t offset = address - kRamBitBand;
     return (read(kRamAlias + offset / 32, 1) >> ((offset >> 2) & 7U)) & 1U;
   }
   if (inside(address, kPeripheralBitBand, kBitBandSize)) {
+    // Registers are read as words, so the number of the bit has five bits.
     const std::uint32_t offset = address - kPeripheralBitBand;
     const std::uint32_t target = kPeripheralBase + ((offset / 32) & ~3U);
     return (read_peripheral(target, 4) >> ((offset >> 2) & 31U)) & 1U;
@@ -153,6 +155,7 @@ void Bus::write(std::uint32_t address, std::uint32_t value, std::uint32_t size) 
     if (memory_.ram_code[offset / 64] != 0) memory_.forget_ram_code(offset, size);
     return;
   }
+  // Bit-banding, as in read().
   if (inside(address, kRamBitBand, kBitBandSize)) {
     const std::uint32_t offset = address - kRamBitBand;
     const std::uint32_t target = kRamAlias + offset / 32;

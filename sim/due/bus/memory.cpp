@@ -46,13 +46,13 @@ Memory::Memory()
 
 // Bytes of the SRAM were written: both of its windows forget what was decoded from them.
 void Memory::forget_ram_code(std::uint32_t offset, std::uint32_t size) {
-  windows[2].forget(offset, size);
-  windows[3].forget(offset, size);
+  windows[kSram].forget(offset, size);
+  windows[kSram0].forget(offset, size);
 }
 
 void Memory::forget_flash_code() {
-  windows[0].forget_all();
-  windows[1].forget_all();
+  windows[kFlash].forget_all();
+  windows[kFlashMirror].forget_all();
 }
 
 // The window that an address, or a decoded instruction, is in; null if none.

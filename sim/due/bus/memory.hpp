@@ -71,7 +71,8 @@ class Memory {
   std::array<std::uint8_t, kRamSize / 64> ram_code{};
 
   // Flash, its mirror at 0, SRAM, SRAM0 at its own base.
-  std::array<CodeWindow, 4> windows;
+  enum Window : std::uint8_t { kFlash, kFlashMirror, kSram, kSram0, kWindows };
+  std::array<CodeWindow, kWindows> windows;
 
   void forget_ram_code(std::uint32_t offset, std::uint32_t size);
   void forget_flash_code();

@@ -111,9 +111,10 @@ Pio::Pio(System& system, Pins& pins, int port, const char* name, std::uint32_t b
 
 // After reset all pins are inputs of the PIO with pull-ups.
 void Pio::reset() {
-  pio_ = ~0U;
-  output_ = filter_ = data_ = interrupts_ = status_ = open_drain_ = no_pull_up_ = 0;
-  select_b_ = direct_ = additional_ = on_level_ = rising_high_ = 0;
+  pio_controls_ = ~0U;
+  is_output_ = has_filter_ = output_level_ = interrupts_ = status_ = is_open_drain_ = no_pull_up_ =
+      0;
+  select_b_ = may_write_directly_ = uses_chosen_mode_ = on_level_ = rising_or_high_ = 0;
   apply(~0U);
   status_ = 0;
   update_irq();
@@ -125,11 +126,11 @@ void Pio::apply(std::uint32_t changed) {
     const int bit = __builtin_ctz(left);
     const auto has = [bit](std::uint32_t mask) { return ((mask >> bit) & 1U) != 0; };
     PinSetting setting;
-    setting.given_to_peripheral = !has(pio_);
+    setting.given_to_peripheral = !has(pio_controls_);
     setting.peripheral_b = has(select_b_);
-    setting.output = has(output_);
-    setting.open_drain = has(open_drain_);
-    setting.high = has(data_);
+    setting.output = has(is_output_);
+    setting.open_drain = has(is_open_drain_);
+    setting.high = has(output_level_);
     setting.pull_up = !has(no_pull_up_);
     pins_.set_setting(port_ * 32 + bit, setting, system_.now());
   }
@@ -139,7 +140,7 @@ void Pio::apply(std::uint32_t changed) {
 std::uint32_t Pio::levels() const {
   std::uint32_t value = pins_.seen(port_);
   // Only outputs of running peripherals can differ from what was last told.
-  for (std::uint32_t left = ~pio_; left != 0; left &= left - 1) {
+  for (std::uint32_t left = ~pio_controls_; left != 0; left &= left - 1) {
     const int bit = __builtin_ctz(left);
     const std::uint32_t mask = 1U << bit;
     value = pins_.level(port_ * 32 + bit) ? value | mask : value & ~mask;
@@ -152,8 +153,8 @@ void Pio::pin_changed(int bit, bool level, std::uint64_t) {
   if (!system_.clocked(clock_id_)) return;
   const std::uint32_t mask = 1U << bit;
   // Level modes depend on the level alone and are looked at when the status is read.
-  const bool chosen = (additional_ & mask) != 0;
-  if (!chosen || ((on_level_ & mask) == 0 && ((rising_high_ & mask) != 0) == level)) {
+  const bool chosen = (uses_chosen_mode_ & mask) != 0;
+  if (!chosen || ((on_level_ & mask) == 0 && ((rising_or_high_ & mask) != 0) == level)) {
     status_ |= mask;
   }
   if ((interrupts_ & mask) != 0) update_irq();
@@ -162,8 +163,8 @@ void Pio::pin_changed(int bit, bool level, std::uint64_t) {
 // The port's interrupt line: any enabled bit of PIO_ISR, where pins in level mode count while their
 // level is the chosen one.
 void Pio::update_irq() {
-  const std::uint32_t by_level = additional_ & on_level_;
-  const std::uint32_t active = by_level != 0 ? by_level & ~(levels() ^ rising_high_) : 0;
+  const std::uint32_t by_level = uses_chosen_mode_ & on_level_;
+  const std::uint32_t active = by_level != 0 ? by_level & ~(levels() ^ rising_or_high_) : 0;
   system_.set_irq(clock_id_, ((status_ | active) & interrupts_) != 0);
 }
 
@@ -171,39 +172,39 @@ void Pio::update_irq() {
 std::uint32_t Pio::read(std::uint32_t offset) {
   switch (offset) {
     case kPsr:
-      return pio_;
+      return pio_controls_;
     case kOsr:
-      return output_;
+      return is_output_;
     case kIfsr:
-      return filter_;
+      return has_filter_;
     case kOdsr:
-      return data_;
+      return output_level_;
     case kPdsr:
       return levels();
     case kImr:
       return interrupts_;
     case kIsr: {  // reading clears it
-      const std::uint32_t by_level = additional_ & on_level_;
+      const std::uint32_t by_level = uses_chosen_mode_ & on_level_;
       const std::uint32_t value =
-          status_ | (by_level != 0 ? by_level & ~(levels() ^ rising_high_) : 0U);
+          status_ | (by_level != 0 ? by_level & ~(levels() ^ rising_or_high_) : 0U);
       status_ = 0;
       update_irq();
       return value;
     }
     case kMdsr:
-      return open_drain_;
+      return is_open_drain_;
     case kPusr:
       return no_pull_up_;
     case kAbsr:
       return select_b_;
     case kOwsr:
-      return direct_;
+      return may_write_directly_;
     case kAimmr:
-      return additional_;
+      return uses_chosen_mode_;
     case kElsr:
       return on_level_;
     case kFrlhsr:
-      return rising_high_;
+      return rising_or_high_;
     default:
       return 0;
   }
@@ -214,34 +215,34 @@ std::uint32_t Pio::read(std::uint32_t offset) {
 void Pio::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kPer:
-      pio_ |= value;
+      pio_controls_ |= value;
       return apply(value);
     case kPdr:
-      pio_ &= ~value;
+      pio_controls_ &= ~value;
       return apply(value);
     case kOer:
-      output_ |= value;
+      is_output_ |= value;
       return apply(value);
     case kOdr:
-      output_ &= ~value;
+      is_output_ &= ~value;
       return apply(value);
     // The glitch filter drops pulses below half a clock; nothing here is that short.
     case kIfer:
-      filter_ |= value;
+      has_filter_ |= value;
       return;
     case kIfdr:
-      filter_ &= ~value;
+      has_filter_ &= ~value;
       return;
     case kSodr:
-      data_ |= value;
+      output_level_ |= value;
       return apply(value);
     case kCodr:
-      data_ &= ~value;
+      output_level_ &= ~value;
       return apply(value);
     case kOdsr: {  // only bits that PIO_OWSR allows
-      const std::uint32_t before = data_;
-      data_ = (data_ & ~direct_) | (value & direct_);
-      return apply(before ^ data_);
+      const std::uint32_t before = output_level_;
+      output_level_ = (output_level_ & ~may_write_directly_) | (value & may_write_directly_);
+      return apply(before ^ output_level_);
     }
     case kIer:
       interrupts_ |= value;
@@ -250,10 +251,10 @@ void Pio::write(std::uint32_t offset, std::uint32_t value) {
       interrupts_ &= ~value;
       return update_irq();
     case kMder:
-      open_drain_ |= value;
+      is_open_drain_ |= value;
       return apply(value);
     case kMddr:
-      open_drain_ &= ~value;
+      is_open_drain_ &= ~value;
       return apply(value);
     case kPudr:
       no_pull_up_ |= value;
@@ -267,16 +268,16 @@ void Pio::write(std::uint32_t offset, std::uint32_t value) {
       return apply(changed);
     }
     case kOwer:
-      direct_ |= value;
+      may_write_directly_ |= value;
       return;
     case kOwdr:
-      direct_ &= ~value;
+      may_write_directly_ &= ~value;
       return;
     case kAimer:
-      additional_ |= value;
+      uses_chosen_mode_ |= value;
       return update_irq();
     case kAimdr:
-      additional_ &= ~value;
+      uses_chosen_mode_ &= ~value;
       return update_irq();
     case kEsr:
       on_level_ &= ~value;
@@ -285,10 +286,10 @@ void Pio::write(std::uint32_t offset, std::uint32_t value) {
       on_level_ |= value;
       return update_irq();
     case kFellsr:
-      rising_high_ &= ~value;
+      rising_or_high_ &= ~value;
       return update_irq();
     case kRehlsr:
-      rising_high_ |= value;
+      rising_or_high_ |= value;
       return update_irq();
     default:
       return;

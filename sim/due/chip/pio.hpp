@@ -29,19 +29,19 @@ class Pio final : public Peripheral, public PinListener {
 
   Pins& pins_;
   int port_;
-  std::uint32_t pio_ = ~0U;        // PSR
-  std::uint32_t output_ = 0;       // OSR
-  std::uint32_t filter_ = 0;       // IFSR
-  std::uint32_t data_ = 0;         // ODSR
-  std::uint32_t interrupts_ = 0;   // IMR
-  std::uint32_t status_ = 0;       // ISR
-  std::uint32_t open_drain_ = 0;   // MDSR
-  std::uint32_t no_pull_up_ = 0;   // PUSR
-  std::uint32_t select_b_ = 0;     // ABSR
-  std::uint32_t direct_ = 0;       // OWSR
-  std::uint32_t additional_ = 0;   // AIMMR: 1 uses the modes below, 0 both edges
-  std::uint32_t on_level_ = 0;     // ELSR
-  std::uint32_t rising_high_ = 0;  // FRLHSR
+  std::uint32_t pio_controls_ = ~0U;      // PSR
+  std::uint32_t is_output_ = 0;           // OSR
+  std::uint32_t has_filter_ = 0;          // IFSR
+  std::uint32_t output_level_ = 0;        // ODSR
+  std::uint32_t interrupts_ = 0;          // IMR
+  std::uint32_t status_ = 0;              // ISR
+  std::uint32_t is_open_drain_ = 0;       // MDSR
+  std::uint32_t no_pull_up_ = 0;          // PUSR
+  std::uint32_t select_b_ = 0;            // ABSR
+  std::uint32_t may_write_directly_ = 0;  // OWSR
+  std::uint32_t uses_chosen_mode_ = 0;    // AIMMR: 1 uses the modes below, 0 both edges
+  std::uint32_t on_level_ = 0;            // ELSR
+  std::uint32_t rising_or_high_ = 0;      // FRLHSR
 };
 
 }  // namespace due_emulator

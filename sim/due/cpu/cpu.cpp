@@ -45,8 +45,8 @@ Cpu::Cpu(Memory& memory, Bus& bus, Scheduler& scheduler, Exceptions& exceptions)
       ram_(memory.ram.data()),
       bad_slot_(past_end()) {
   ip_ = &bad_slot_;
-  memory_.windows[0].open(blank(), past_end());
-  flash_slots_ = memory_.windows[0].slots();
+  memory_.windows[Memory::kFlash].open(blank(), past_end());
+  flash_slots_ = memory_.windows[Memory::kFlash].slots();
   scheduler_.watch(&stop_at_);
   exceptions_.watch(&stop_at_);
   bus_.diagnostics().pc_of = &pc_of_cpu;
@@ -57,10 +57,11 @@ Cpu::Cpu(Memory& memory, Bus& bus, Scheduler& scheduler, Exceptions& exceptions)
 // forgotten.
 void Cpu::reset() {
   std::fill(std::begin(r), std::end(r), 0U);
-  r[14] = ~0U;  // LR
+  r[kLr] = ~0U;
   other_sp_ = 0;
   spsel_ = uses_psp_ = unprivileged_thread_ = false;
   ipsr_ = 0;
+  // No flag is set: N and V are bit 31 of their source, Z means that its source is 0.
   n_src = 0;
   z_src = 1;
   carry = v_src = q_flag = 0;
@@ -73,9 +74,8 @@ void Cpu::reset() {
   open_probes_.clear();
   flush_ = false;
   memory_.forget_flash_code();
-  // The two windows of the SRAM.
-  memory_.windows[2].forget_all();
-  memory_.windows[3].forget_all();
+  memory_.windows[Memory::kSram].forget_all();
+  memory_.windows[Memory::kSram0].forget_all();
   ip_ = bad_slot(0);
   // The vector table: the stack pointer, then the address of the reset handler, with bit 0 for
   // Thumb.
@@ -135,7 +135,7 @@ void Cpu::run(std::uint64_t until) {
     try {
       burst();
     } catch (const Fault& fault) {
-      raise(fault, true);
+      raise(fault, kSynchronous);
     }
   }
 }
@@ -144,14 +144,14 @@ void Cpu::run(std::uint64_t until) {
 void Cpu::step(std::uint64_t until) {
   leave_ = false;
   if (halt_ != Halt::kNone || !prepare(until)) return;
-  stop_at_ = kNever;
+  stop_at_ = kNever;  // unless the instruction itself changes it
   try {
     const Insn* ip = ip_;
     cycles_ += ip->cycles;
     ++instructions_;
     ip_ = ip->run(*this, ip);
   } catch (const Fault& fault) {
-    raise(fault, true);
+    raise(fault, kSynchronous);
   }
 }
 
@@ -203,7 +203,8 @@ void Cpu::resume_at(std::uint32_t address, std::uint8_t it) {
 void Cpu::forget_flash_code() {
   flush_ = false;
   // The first two windows are those of the flash.
-  const bool in_flash = memory_.windows[0].holds(ip_) || memory_.windows[1].holds(ip_);
+  const bool in_flash = memory_.windows[Memory::kFlash].holds(ip_) ||
+                        memory_.windows[Memory::kFlashMirror].holds(ip_);
   const std::uint32_t address = pc();
   const std::uint8_t it_state = ip_->it;
   memory_.forget_flash_code();
@@ -243,7 +244,7 @@ const Insn* Cpu::slow_slot(std::uint32_t address) {
 // Handler of an instruction that cannot be fetched: raises the fault that the chip raises.
 const Insn* Cpu::bad_fetch() {
   const std::uint32_t address = pc();
-  if (!thumb_) throw Fault{exc::kUsageFault, cfsr::kInvState, 0, false};
+  if (!thumb_) throw Fault{exc::kUsageFault, cfsr::kInvState};
   bus_.diagnostics().report(
       Trouble::kUnmapped, address,
       "instruction fetch from " + hex(address) + ", where there is no memory");
@@ -251,8 +252,8 @@ const Insn* Cpu::bad_fetch() {
   // 5) are execute-never.
   const std::uint32_t region = address >> 29;
   const bool never_executable = region == 2 || region >= 5;
-  if (never_executable) throw Fault{exc::kMemManage, cfsr::kIaccViol, 0, false};
-  throw Fault{exc::kBusFault, cfsr::kIbusErr, 0, false};
+  if (never_executable) throw Fault{exc::kMemManage, cfsr::kIaccViol};
+  throw Fault{exc::kBusFault, cfsr::kIbusErr};
 }
 
 // BXWritePC and LoadWritePC. A target without bit 0 would be ARM code: the next fetch faults.
@@ -287,12 +288,10 @@ void Cpu::slow_store(std::uint32_t address, std::uint32_t value, std::uint32_t s
 void Cpu::throw_unaligned(std::uint32_t address) const {
   bus_.diagnostics().report(Trouble::kUnaligned, address,
                             "access to " + hex(address) + ", which this instruction cannot split");
-  throw Fault{exc::kUsageFault, cfsr::kUnaligned, 0, false};
+  throw Fault{exc::kUsageFault, cfsr::kUnaligned};
 }
 
-void Cpu::undefined(const Insn*) const {
-  throw Fault{exc::kUsageFault, cfsr::kUndefInstr, 0, false};
-}
+void Cpu::undefined(const Insn*) const { throw Fault{exc::kUsageFault, cfsr::kUndefInstr}; }
 
 // -- registers --------------------------------------------------------------------------------
 
@@ -303,8 +302,8 @@ void Cpu::set_pc(std::uint32_t address) {
 
 // For a debugger: r0 to r15.
 void Cpu::set_reg(unsigned index, std::uint32_t value) {
-  if (index == 15) return set_pc(value);
-  if (index == 13) return set_sp(value);
+  if (index == kPc) return set_pc(value);
+  if (index == kSp) return set_sp(value);
   r[index] = value;
 }
 

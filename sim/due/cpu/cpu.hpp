@@ -81,10 +81,10 @@ class Cpu {
   void set_pc(std::uint32_t address);
   std::uint32_t xpsr() const;
   void set_apsr(std::uint32_t value);
-  std::uint32_t reg(unsigned index) const { return index == 15 ? pc() : r[index]; }
+  std::uint32_t reg(unsigned index) const { return index == kPc ? pc() : r[index]; }
   void set_reg(unsigned index, std::uint32_t value);
-  std::uint32_t msp() const { return uses_psp_ ? other_sp_ : r[13]; }
-  std::uint32_t psp() const { return uses_psp_ ? r[13] : other_sp_; }
+  std::uint32_t msp() const { return uses_psp_ ? other_sp_ : r[kSp]; }
+  std::uint32_t psp() const { return uses_psp_ ? r[kSp] : other_sp_; }
   std::uint32_t control() const { return (spsel_ ? 2U : 0U) | (unprivileged_thread_ ? 1U : 0U); }
   std::uint32_t ipsr() const { return ipsr_; }
   // Whether the next instruction is in an IT block and its condition fails.
@@ -211,7 +211,7 @@ class Cpu {
   void write_special(unsigned sysm, std::uint32_t value, unsigned mask);
   void change_processor_state(bool disable, bool primask, bool faultmask);
   void send_event() { exceptions_.event = true; }
-  void set_sp(std::uint32_t value) { r[13] = value & ~3U; }
+  void set_sp(std::uint32_t value) { r[kSp] = value & ~3U; }
   void add_cycles(std::uint32_t count) { cycles_ += count; }
   void refund_cycles(std::uint32_t count) { cycles_ -= count; }
   [[noreturn]] void undefined(const Insn* insn) const;
@@ -244,6 +244,8 @@ class Cpu {
   void forget_flash_code();
   void burst();
   bool prepare(std::uint64_t until);
+  static constexpr bool kSynchronous = true;
+  static constexpr bool kAsynchronous = false;
   void raise(const Fault& fault, bool synchronous);
   void lock_up(const std::string& why);
   void enter_exception();

@@ -20,7 +20,7 @@ void Decoder::decode16(std::uint32_t w) {
       if ((w & 0x0C00U) == 0) return data_processing16(w);
       if ((w & 0x0C00U) == 0x0400U) return special_data(w);
       rd(field(w, 8, 3));  // LDR (literal)
-      return literal(4, false, (pc() & ~3U) + 4 * field(w, 0, 8));
+      return literal(Access::kWord, (pc() & ~3U) + 4 * field(w, 0, 8));
     case 5:
     case 6:
     case 7:
@@ -31,11 +31,11 @@ void Decoder::decode16(std::uint32_t w) {
       rd(field(w, 8, 3));
       if ((w & 0x0800U) == 0) {  // ADR: the address is a constant
         out_.imm = (pc() & ~3U) + 4 * field(w, 0, 8);
-        return put_alu<Alu::kMov, Op2::kImm>(false);
+        return put_alu<Alu::kMov, Op2::kImm>(kKeepFlags);
       }
-      rn(13);  // ADD (SP plus immediate)
+      rn(kSp);  // ADD (SP plus immediate)
       out_.imm = 4 * field(w, 0, 8);
-      return put_alu<Alu::kAdd, Op2::kImm>(false);
+      return put_alu<Alu::kAdd, Op2::kImm>(kKeepFlags);
     case 11:
       return miscellaneous16(w);
     case 12:
@@ -68,7 +68,7 @@ void Decoder::shift_add_compare(std::uint32_t w) {
       case 0:
         return put_alu<Alu::kMov, Op2::kImm>(flags);
       case 1:
-        return put_alu<Alu::kCmp, Op2::kImm>(true);
+        return put_alu<Alu::kCmp, Op2::kImm>(kSetFlags);
       case 2:
         return put_alu<Alu::kAdd, Op2::kImm>(flags);
       default:
@@ -110,35 +110,35 @@ void Decoder::data_processing16(std::uint32_t w) {
     case 1:
       return put_alu<Alu::kEor, Op2::kReg>(flags);
     case 2:
-      return flags ? put<&ops::shift_by_register<Shift::kLsl, true>>()
-                   : put<&ops::shift_by_register<Shift::kLsl, false>>();
+      return flags ? put<&ops::shift_by_register<Shift::kLsl, kSetFlags>>()
+                   : put<&ops::shift_by_register<Shift::kLsl, kKeepFlags>>();
     case 3:
-      return flags ? put<&ops::shift_by_register<Shift::kLsr, true>>()
-                   : put<&ops::shift_by_register<Shift::kLsr, false>>();
+      return flags ? put<&ops::shift_by_register<Shift::kLsr, kSetFlags>>()
+                   : put<&ops::shift_by_register<Shift::kLsr, kKeepFlags>>();
     case 4:
-      return flags ? put<&ops::shift_by_register<Shift::kAsr, true>>()
-                   : put<&ops::shift_by_register<Shift::kAsr, false>>();
+      return flags ? put<&ops::shift_by_register<Shift::kAsr, kSetFlags>>()
+                   : put<&ops::shift_by_register<Shift::kAsr, kKeepFlags>>();
     case 5:
       return put_alu<Alu::kAdc, Op2::kReg>(flags);
     case 6:
       return put_alu<Alu::kSbc, Op2::kReg>(flags);
     case 7:
-      return flags ? put<&ops::shift_by_register<Shift::kRor, true>>()
-                   : put<&ops::shift_by_register<Shift::kRor, false>>();
+      return flags ? put<&ops::shift_by_register<Shift::kRor, kSetFlags>>()
+                   : put<&ops::shift_by_register<Shift::kRor, kKeepFlags>>();
     case 8:
-      return put_alu<Alu::kTst, Op2::kReg>(true);
+      return put_alu<Alu::kTst, Op2::kReg>(kSetFlags);
     case 9:  // RSB from 0, also called NEG
       rn(field(w, 3, 3));
       out_.imm = 0;
       return put_alu<Alu::kRsb, Op2::kImm>(flags);
     case 10:
-      return put_alu<Alu::kCmp, Op2::kReg>(true);
+      return put_alu<Alu::kCmp, Op2::kReg>(kSetFlags);
     case 11:
-      return put_alu<Alu::kCmn, Op2::kReg>(true);
+      return put_alu<Alu::kCmn, Op2::kReg>(kSetFlags);
     case 12:
       return put_alu<Alu::kOrr, Op2::kReg>(flags);
     case 13:
-      return flags ? put<&ops::multiply<true>>() : put<&ops::multiply<false>>();
+      return flags ? put<&ops::multiply<kSetFlags>>() : put<&ops::multiply<kKeepFlags>>();
     case 14:
       return put_alu<Alu::kBic, Op2::kReg>(flags);
     default:
@@ -155,42 +155,42 @@ void Decoder::special_data(std::uint32_t w) {
   rm(field(w, 3, 4));
   const std::uint32_t op = field(w, 8, 2);
   if (op == 1) {
-    if (out_.rm == 15 || d == 15) return undefined();
-    return put_alu<Alu::kCmp, Op2::kReg>(true);
+    if (out_.rm == kPc || d == kPc) return undefined();
+    return put_alu<Alu::kCmp, Op2::kReg>(kSetFlags);
   }
-  if (op == 3 || d == 15) {
+  if (op == 3 || d == kPc) {
     if (in_it() && !last_in_it()) return undefined();
-    cycles(1U + taken_cycles(~0U));  // ~0: the target is not known yet
+    cycles(1U + taken_cycles(kUnknownTarget));
   }
   if (op == 3) {
-    if (field(w, 0, 3) != 0 || out_.rm == 15) return undefined();
+    if (field(w, 0, 3) != 0 || out_.rm == kPc) return undefined();
     if (field(w, 7, 1) == 0) return put<&ops::branch_exchange>();
     out_.imm = (address_ + 2) | 1U;  // return address for LR; bit 0 means Thumb
     return put<&ops::branch_link_exchange>();
   }
   if (op == 0) {
-    if (d == 15) {
-      if (out_.rm == 15) return undefined();
+    if (d == kPc) {
+      if (out_.rm == kPc) return undefined();
       out_.imm = pc();
       return put<&ops::add_to_pc>();
     }
-    if (out_.rm == 15) {
+    if (out_.rm == kPc) {
       out_.imm = pc();
-      return put_alu<Alu::kAdd, Op2::kImm>(false);
+      return put_alu<Alu::kAdd, Op2::kImm>(kKeepFlags);
     }
-    return put_alu<Alu::kAdd, Op2::kReg>(false);
+    return put_alu<Alu::kAdd, Op2::kReg>(kKeepFlags);
   }
-  if (out_.rm == 15) {
-    if (d == 15) return undefined();
+  if (out_.rm == kPc) {
+    if (d == kPc) return undefined();
     out_.imm = pc();
-    return put_alu<Alu::kMov, Op2::kImm>(false);
+    return put_alu<Alu::kMov, Op2::kImm>(kKeepFlags);
   }
-  if (d == 15) return put<&ops::move_to_pc>();
-  put_alu<Alu::kMov, Op2::kReg>(false);
+  if (d == kPc) return put<&ops::move_to_pc>();
+  put_alu<Alu::kMov, Op2::kReg>(kKeepFlags);
 }
 
 // Loads and stores of one register (A5.2.4): the address is rn plus a register, or plus an
-// immediate that counts in units of the size. Arguments of put_load_store: bytes, sign, is_load.
+// immediate that counts in units of the size.
 void Decoder::load_store16(std::uint32_t w) {
   rd(field(w, 0, 3));
   rn(field(w, 3, 3));
@@ -201,38 +201,38 @@ void Decoder::load_store16(std::uint32_t w) {
       rm(field(w, 6, 3));
       extra(0);
       switch (field(w, 9, 3)) {
-        case 0:  // STR, STRH, STRB, LDRSB, LDR, LDRH, LDRB, LDRSH
-          return put_load_store<Mode::kRegister>(4, false, false);
+        case 0:
+          return put_load_store<Mode::kRegister>(Access::kWord, kStore);
         case 1:
-          return put_load_store<Mode::kRegister>(2, false, false);
+          return put_load_store<Mode::kRegister>(Access::kHalf, kStore);
         case 2:
-          return put_load_store<Mode::kRegister>(1, false, false);
+          return put_load_store<Mode::kRegister>(Access::kByte, kStore);
         case 3:
-          return put_load_store<Mode::kRegister>(1, true, true);
+          return put_load_store<Mode::kRegister>(Access::kSignedByte, kLoad);
         case 4:
-          return put_load_store<Mode::kRegister>(4, false, true);
+          return put_load_store<Mode::kRegister>(Access::kWord, kLoad);
         case 5:
-          return put_load_store<Mode::kRegister>(2, false, true);
+          return put_load_store<Mode::kRegister>(Access::kHalf, kLoad);
         case 6:
-          return put_load_store<Mode::kRegister>(1, false, true);
+          return put_load_store<Mode::kRegister>(Access::kByte, kLoad);
         default:
-          return put_load_store<Mode::kRegister>(2, true, true);
+          return put_load_store<Mode::kRegister>(Access::kSignedHalf, kLoad);
       }
     }
     case 6:
       out_.imm = imm5 * 4;
-      return put_load_store<Mode::kOffset>(4, false, is_load);
+      return put_load_store<Mode::kOffset>(Access::kWord, is_load);
     case 7:
       out_.imm = imm5;
-      return put_load_store<Mode::kOffset>(1, false, is_load);
+      return put_load_store<Mode::kOffset>(Access::kByte, is_load);
     case 8:
       out_.imm = imm5 * 2;
-      return put_load_store<Mode::kOffset>(2, false, is_load);
+      return put_load_store<Mode::kOffset>(Access::kHalf, is_load);
     default:  // relative to SP
       rd(field(w, 8, 3));
-      rn(13);
+      rn(kSp);
       out_.imm = field(w, 0, 8) * 4;
-      return put_load_store<Mode::kOffset>(4, false, is_load);
+      return put_load_store<Mode::kOffset>(Access::kWord, is_load);
   }
 }
 
@@ -241,11 +241,11 @@ void Decoder::miscellaneous16(std::uint32_t w) {
   const std::uint32_t op = field(w, 8, 4);
   switch (op) {
     case 0:  // ADD, SUB (SP plus or minus immediate)
-      rd(13);
-      rn(13);
+      rd(kSp);
+      rn(kSp);
       out_.imm = field(w, 0, 7) * 4;
-      return field(w, 7, 1) == 0 ? put_alu<Alu::kAdd, Op2::kImm>(false)
-                                 : put_alu<Alu::kSub, Op2::kImm>(false);
+      return field(w, 7, 1) == 0 ? put_alu<Alu::kAdd, Op2::kImm>(kKeepFlags)
+                                 : put_alu<Alu::kSub, Op2::kImm>(kKeepFlags);
     case 1:
     case 3:
     case 9:
@@ -273,8 +273,8 @@ void Decoder::miscellaneous16(std::uint32_t w) {
       }
     case 4:
     case 5:  // PUSH; bit 8 adds LR
-      rn(13);
-      ra(1);
+      rn(kSp);
+      ra(kWriteBack);
       registers(field(w, 0, 8) | (field(w, 8, 1) << 14));
       if (out_.imm == 0) return undefined();
       return put<&ops::store_multiple<true>>();
@@ -297,9 +297,10 @@ void Decoder::miscellaneous16(std::uint32_t w) {
       }
     case 12:
     case 13:  // POP; bit 8 adds PC, which is a branch
-      rn(13);
-      ra(1);
-      registers(field(w, 0, 8) | (field(w, 8, 1) << 15), 1U + (op == 13 ? taken_cycles(~0U) : 0U));
+      rn(kSp);
+      ra(kWriteBack);
+      registers(field(w, 0, 8) | (field(w, 8, 1) << 15),
+                1U + (op == 13 ? taken_cycles(kUnknownTarget) : 0U));
       if (out_.imm == 0 || (op == 13 && in_it() && !last_in_it())) return undefined();
       return put<&ops::load_multiple<false>>();
     case 14:  // BKPT
@@ -337,17 +338,17 @@ void Decoder::hints(std::uint32_t w) {
   }
 }
 
-// STM (bit 11 clear) and LDM (A7.7). `ra` is 1 if the base register gets the end address.
+// STM (bit 11 clear) and LDM (A7.7).
 void Decoder::multiple16(std::uint32_t w) {
   rn(field(w, 8, 3));
   registers(field(w, 0, 8));
   if (out_.imm == 0) return undefined();
   const bool in_list = ((out_.imm >> out_.rn) & 1U) != 0;
   if (field(w, 11, 1) != 0) {
-    ra(in_list ? 0 : 1);
+    ra(in_list ? kKeepBase : kWriteBack);
     return put<&ops::load_multiple<false>>();
   }
-  ra(1);
+  ra(kWriteBack);
   put<&ops::store_multiple<false>>();
 }
 

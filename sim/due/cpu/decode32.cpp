@@ -11,7 +11,7 @@ using ops::Op2;
 namespace {
 
 // SP and PC, which most 32-bit encodings forbid as a register.
-bool bad(std::uint32_t reg) { return reg == 13 || reg == 15; }
+bool is_sp_or_pc(std::uint32_t reg) { return reg == kSp || reg == kPc; }
 
 }  // namespace
 
@@ -41,12 +41,12 @@ void Decoder::multiple32(std::uint32_t hw1, std::uint32_t hw2) {
   const bool is_load = field(hw1, 4, 1) != 0;
   const bool write_back = field(hw1, 5, 1) != 0;
   rn(field(hw1, 0, 4));
-  ra(write_back ? 1 : 0);
+  ra(write_back ? kWriteBack : kKeepBase);
   const bool base_in_list = ((hw2 >> out_.rn) & 1U) != 0;
   const bool with_pc = (hw2 & 0x8000U) != 0;
   const bool single = (hw2 & (hw2 - 1U)) == 0;
-  registers(hw2, 1U + (with_pc ? taken_cycles(~0U) : 0U));
-  if ((op != 1 && op != 2) || out_.rn == 15 || single || (hw2 & 0x2000U) != 0 ||
+  registers(hw2, 1U + (with_pc ? taken_cycles(kUnknownTarget) : 0U));
+  if ((op != 1 && op != 2) || out_.rn == kPc || single || (hw2 & 0x2000U) != 0 ||
       (write_back && base_in_list)) {
     return undefined();
   }
@@ -71,23 +71,24 @@ void Decoder::double_exclusive(std::uint32_t hw1, std::uint32_t hw2) {
     // (write back) bit 5 of hw1. PC as base is allowed only for loads, without write-back.
     const std::uint32_t offset = field(hw2, 0, 8) * 4;
     const bool add = field(hw1, 7, 1) != 0;
-    const bool pre = field(hw1, 8, 1) != 0;
-    const bool write = field(hw1, 5, 1) != 0;
+    const bool pre_index = field(hw1, 8, 1) != 0;
+    const bool write_back = field(hw1, 5, 1) != 0;
     ra(field(hw2, 8, 4));
     cycles(3);
-    if (bad(out_.rd) || bad(out_.ra)) return undefined();
-    if (write && (out_.rn == out_.rd || out_.rn == out_.ra || out_.rn == 15)) return undefined();
+    if (is_sp_or_pc(out_.rd) || is_sp_or_pc(out_.ra)) return undefined();
+    if (write_back && (out_.rn == out_.rd || out_.rn == out_.ra || out_.rn == kPc))
+      return undefined();
     if (is_load && out_.rd == out_.ra) return undefined();
-    if (out_.rn == 15) {
+    if (out_.rn == kPc) {
       out_.imm = (pc() & ~3U) + (add ? offset : 0U - offset);
       return is_load ? put<&ops::load_double_literal>() : undefined();
     }
     out_.imm = add ? offset : 0U - offset;
-    if (!pre) {
+    if (!pre_index) {
       return is_load ? put<&ops::load_double<Mode::kPost>>()
                      : put<&ops::store_double<Mode::kPost>>();
     }
-    if (write) {
+    if (write_back) {
       return is_load ? put<&ops::load_double<Mode::kPre>>() : put<&ops::store_double<Mode::kPre>>();
     }
     return is_load ? put<&ops::load_double<Mode::kOffset>>()
@@ -97,26 +98,26 @@ void Decoder::double_exclusive(std::uint32_t hw1, std::uint32_t hw2) {
   // In exclusive stores `ra` takes the result; loads have 15 in its place.
   if (op1 == 0) {  // LDREX, STREX
     out_.imm = field(hw2, 0, 8) * 4;
-    if (out_.rn == 15 || bad(out_.rd)) return undefined();
+    if (out_.rn == kPc || is_sp_or_pc(out_.rd)) return undefined();
     if (is_load) {
       return field(hw2, 8, 4) == 15 ? put<&ops::load_exclusive<std::uint32_t>>() : undefined();
     }
     ra(field(hw2, 8, 4));
-    if (bad(out_.ra) || out_.ra == out_.rd || out_.ra == out_.rn) return undefined();
+    if (is_sp_or_pc(out_.ra) || out_.ra == out_.rd || out_.ra == out_.rn) return undefined();
     return put<&ops::store_exclusive<std::uint32_t>>();
   }
   const std::uint32_t op3 = field(hw2, 4, 4);
   if (op3 <= 1) {  // TBB, TBH
-    if (!is_load || out_.rn == 13 || field(hw2, 8, 8) != 0xF0U) return undefined();
+    if (!is_load || out_.rn == kSp || field(hw2, 8, 8) != 0xF0U) return undefined();
     rm(field(hw2, 0, 4));
-    if (bad(out_.rm) || (in_it() && !last_in_it())) return undefined();
+    if (is_sp_or_pc(out_.rm) || (in_it() && !last_in_it())) return undefined();
     out_.imm = pc();
-    cycles(2U + taken_cycles(~0U));
+    cycles(2U + taken_cycles(kUnknownTarget));
     return op3 == 0 ? put<&ops::table_branch<std::uint8_t>>()
                     : put<&ops::table_branch<std::uint16_t>>();
   }
   // LDREXB and STREXB (op3 4), LDREXH and STREXH (5).
-  if ((op3 != 4 && op3 != 5) || field(hw2, 8, 4) != 15 || out_.rn == 15 || bad(out_.rd)) {
+  if ((op3 != 4 && op3 != 5) || field(hw2, 8, 4) != 15 || out_.rn == kPc || is_sp_or_pc(out_.rd)) {
     return undefined();
   }
   if (is_load) {
@@ -125,7 +126,7 @@ void Decoder::double_exclusive(std::uint32_t hw1, std::uint32_t hw2) {
                     : put<&ops::load_exclusive<std::uint16_t>>();
   }
   ra(field(hw2, 0, 4));
-  if (bad(out_.ra) || out_.ra == out_.rd || out_.ra == out_.rn) return undefined();
+  if (is_sp_or_pc(out_.ra) || out_.ra == out_.rd || out_.ra == out_.rn) return undefined();
   op3 == 4 ? put<&ops::store_exclusive<std::uint8_t>>()
            : put<&ops::store_exclusive<std::uint16_t>>();
 }
@@ -134,52 +135,56 @@ void Decoder::double_exclusive(std::uint32_t hw1, std::uint32_t hw2) {
 // bits, register with LSL by 0 to 3, or immediate of 8 bits with P (pre-index), U (add) and W
 // (write back) in bits 10, 9 and 8 of hw2.
 void Decoder::load_store32(std::uint32_t hw1, std::uint32_t hw2) {
-  const std::uint32_t size_field = field(hw1, 5, 2);
+  const std::uint32_t size_field = field(hw1, 5, 2);  // 0 byte, 1 halfword, 2 word
   const bool is_load = field(hw1, 4, 1) != 0;
   const bool sign = field(hw1, 8, 1) != 0;
-  const std::uint32_t size = 1U << size_field;
-  if (size_field == 3 || (sign && (!is_load || size == 4))) return undefined();
+  if (size_field == 3 || (sign && (!is_load || size_field == 2))) return undefined();
+  const Access access = size_field == 2   ? Access::kWord
+                        : size_field == 1 ? (sign ? Access::kSignedHalf : Access::kHalf)
+                                          : (sign ? Access::kSignedByte : Access::kByte);
+  const bool is_word = access == Access::kWord;
   rd(field(hw2, 12, 4));
   rn(field(hw1, 0, 4));
   // A byte or halfword load into PC is a hint: PLD, PLI or a reserved one.
-  const bool hint = is_load && size != 4 && out_.rd == 15;
-  if (out_.rn == 15) {
+  const bool is_hint = is_load && !is_word && out_.rd == kPc;
+  if (out_.rn == kPc) {
     if (!is_load) return undefined();
     const std::uint32_t offset = field(hw2, 0, 12);
-    if (hint) return put<&ops::nop>();
-    if (out_.rd == 13 && size != 4) return undefined();
-    if (out_.rd == 15 && in_it() && !last_in_it()) return undefined();
-    return literal(size, sign, (pc() & ~3U) + (field(hw1, 7, 1) != 0 ? offset : 0U - offset));
+    if (is_hint) return put<&ops::nop>();
+    if (out_.rd == kSp && !is_word) return undefined();
+    if (out_.rd == kPc && in_it() && !last_in_it()) return undefined();
+    return literal(access, (pc() & ~3U) + (field(hw1, 7, 1) != 0 ? offset : 0U - offset));
   }
-  if (!is_load && out_.rd == 15) return undefined();
-  if (out_.rd == 13 && size != 4) return undefined();
-  if (is_load && out_.rd == 15 && size == 4 && in_it() && !last_in_it()) return undefined();
+  if (!is_load && out_.rd == kPc) return undefined();
+  if (out_.rd == kSp && !is_word) return undefined();
+  // A load into PC is a branch, which may only end an IT block.
+  if (is_load && out_.rd == kPc && is_word && in_it() && !last_in_it()) return undefined();
   if (field(hw1, 7, 1) != 0) {
     out_.imm = field(hw2, 0, 12);
-    return hint ? put<&ops::nop>() : put_load_store<Mode::kOffset>(size, sign, is_load);
+    return is_hint ? put<&ops::nop>() : put_load_store<Mode::kOffset>(access, is_load);
   }
   if (field(hw2, 11, 1) == 0) {
     if (field(hw2, 6, 5) != 0) return undefined();
     rm(field(hw2, 0, 4));
     extra(field(hw2, 4, 2));
-    if (bad(out_.rm)) return undefined();
-    return hint ? put<&ops::nop>() : put_load_store<Mode::kRegister>(size, sign, is_load);
+    if (is_sp_or_pc(out_.rm)) return undefined();
+    return is_hint ? put<&ops::nop>() : put_load_store<Mode::kRegister>(access, is_load);
   }
-  const bool pre = field(hw2, 10, 1) != 0;
+  const bool pre_index = field(hw2, 10, 1) != 0;
   const bool add = field(hw2, 9, 1) != 0;
-  const bool write = field(hw2, 8, 1) != 0;
-  if (!pre && !write) return undefined();
+  const bool write_back = field(hw2, 8, 1) != 0;
+  if (!pre_index && !write_back) return undefined();
   const std::uint32_t offset = field(hw2, 0, 8);
   out_.imm = add ? offset : 0U - offset;
-  if (write) {
-    if (out_.rn == out_.rd || hint) return undefined();
-    return pre ? put_load_store<Mode::kPre>(size, sign, is_load)
-               : put_load_store<Mode::kPost>(size, sign, is_load);
+  if (write_back) {
+    if (out_.rn == out_.rd || is_hint) return undefined();
+    return pre_index ? put_load_store<Mode::kPre>(access, is_load)
+                     : put_load_store<Mode::kPost>(access, is_load);
   }
-  if (hint) return put<&ops::nop>();
+  if (is_hint) return put<&ops::nop>();
   // P = U = 1 with W = 0 is the unprivileged form (LDRT, STRT).
-  if (add && bad(out_.rd)) return undefined();
-  put_load_store<Mode::kOffset>(size, sign, is_load);
+  if (add && is_sp_or_pc(out_.rd)) return undefined();
+  put_load_store<Mode::kOffset>(access, is_load);
 }
 
 // Branches and control (A5.3.4). B (T4) and BL have offsets of 25 bits, B<c> (T3) of 21; the names
@@ -250,12 +255,12 @@ void Decoder::special_register(std::uint32_t hw1, std::uint32_t hw2) {
   cycles(2);
   if (field(hw1, 5, 2) == 3) {
     rd(field(hw2, 8, 4));
-    if (bad(out_.rd) || field(hw1, 0, 4) != 15) return undefined();
+    if (is_sp_or_pc(out_.rd) || field(hw1, 0, 4) != 15) return undefined();
     return put<&ops::move_from_special>();
   }
   rn(field(hw1, 0, 4));
   ra(field(hw2, 8, 4));
-  if (bad(out_.rn)) return undefined();
+  if (is_sp_or_pc(out_.rn)) return undefined();
   put<&ops::move_to_special>();
 }
 
@@ -267,35 +272,35 @@ void Decoder::data_processing32(std::uint32_t op, bool flags, Op2 op2, std::uint
   rd(d);
   rn(n);
   // ADD and SUB may use the stack pointer; nothing else may.
-  const bool sp_allowed = (op == 8 || op == 13) && n == 13;
-  if (d == 13 && !sp_allowed) return undefined();
-  if (n == 13 && op != 8 && op != 13) return undefined();
-  const bool compare = d == 15 && flags;
-  if (d == 15 && !compare) return undefined();
-  if (n == 15 && op != 2 && op != 3) return undefined();
+  const bool sp_allowed = (op == 8 || op == 13) && n == kSp;
+  if (d == kSp && !sp_allowed) return undefined();
+  if (n == kSp && op != 8 && op != 13) return undefined();
+  const bool compare = d == kPc && flags;
+  if (d == kPc && !compare) return undefined();
+  if (n == kPc && op != 2 && op != 3) return undefined();
   switch (op) {
     case 0:  // AND, TST
-      return compare ? put_op2<Alu::kTst>(op2, true) : put_op2<Alu::kAnd>(op2, flags);
+      return compare ? put_op2<Alu::kTst>(op2, kSetFlags) : put_op2<Alu::kAnd>(op2, flags);
     case 1:  // BIC
-      return d == 15 ? undefined() : put_op2<Alu::kBic>(op2, flags);
+      return d == kPc ? undefined() : put_op2<Alu::kBic>(op2, flags);
     case 2:  // ORR, MOV
-      if (d == 15) return undefined();
-      return n == 15 ? put_op2<Alu::kMov>(op2, flags) : put_op2<Alu::kOrr>(op2, flags);
+      if (d == kPc) return undefined();
+      return n == kPc ? put_op2<Alu::kMov>(op2, flags) : put_op2<Alu::kOrr>(op2, flags);
     case 3:  // ORN, MVN
-      if (d == 15) return undefined();
-      return n == 15 ? put_op2<Alu::kMvn>(op2, flags) : put_op2<Alu::kOrn>(op2, flags);
+      if (d == kPc) return undefined();
+      return n == kPc ? put_op2<Alu::kMvn>(op2, flags) : put_op2<Alu::kOrn>(op2, flags);
     case 4:  // EOR, TEQ
-      return compare ? put_op2<Alu::kTeq>(op2, true) : put_op2<Alu::kEor>(op2, flags);
+      return compare ? put_op2<Alu::kTeq>(op2, kSetFlags) : put_op2<Alu::kEor>(op2, flags);
     case 8:  // ADD, CMN
-      return compare ? put_op2<Alu::kCmn>(op2, true) : put_op2<Alu::kAdd>(op2, flags);
+      return compare ? put_op2<Alu::kCmn>(op2, kSetFlags) : put_op2<Alu::kAdd>(op2, flags);
     case 10:
-      return d == 15 ? undefined() : put_op2<Alu::kAdc>(op2, flags);
+      return d == kPc ? undefined() : put_op2<Alu::kAdc>(op2, flags);
     case 11:
-      return d == 15 ? undefined() : put_op2<Alu::kSbc>(op2, flags);
+      return d == kPc ? undefined() : put_op2<Alu::kSbc>(op2, flags);
     case 13:  // SUB, CMP
-      return compare ? put_op2<Alu::kCmp>(op2, true) : put_op2<Alu::kSub>(op2, flags);
+      return compare ? put_op2<Alu::kCmp>(op2, kSetFlags) : put_op2<Alu::kSub>(op2, flags);
     case 14:
-      return d == 15 ? undefined() : put_op2<Alu::kRsb>(op2, flags);
+      return d == kPc ? undefined() : put_op2<Alu::kRsb>(op2, flags);
     default:
       return undefined();
   }
@@ -309,17 +314,17 @@ void Decoder::shifted_register(std::uint32_t hw1, std::uint32_t hw2) {
   const bool flags = field(hw1, 4, 1) != 0;
   const std::uint32_t amount = (field(hw2, 12, 3) << 2) | field(hw2, 6, 2);
   rm(field(hw2, 0, 4));
-  const bool is_move = op == 2 && n == 15;
+  const bool is_move = op == 2 && n == kPc;
   if (field(hw2, 15, 1) != 0 || op == 6) return undefined();
   // MOV.W (register) without shift may read or write the stack pointer.
-  if (is_move && !flags && amount == 0 && field(hw2, 4, 2) == 0 && d != 15 && out_.rm != 15 &&
-      !(d == 13 && out_.rm == 13)) {
+  if (is_move && !flags && amount == 0 && field(hw2, 4, 2) == 0 && d != kPc && out_.rm != kPc &&
+      !(d == kSp && out_.rm == kSp)) {
     rd(d);
-    return put_alu<Alu::kMov, Op2::kReg>(false);
+    return put_alu<Alu::kMov, Op2::kReg>(kKeepFlags);
   }
-  if (bad(out_.rm)) return undefined();
+  if (is_sp_or_pc(out_.rm)) return undefined();
   // With the stack pointer as result only LSL by up to 3 is defined.
-  if (d == 13 && (field(hw2, 4, 2) != 0 || amount > 3)) return undefined();
+  if (d == kSp && (field(hw2, 4, 2) != 0 || amount > 3)) return undefined();
   data_processing32(op, flags, immediate_shift(field(hw2, 4, 2), amount), d, n);
 }
 
@@ -367,20 +372,21 @@ void Decoder::plain_immediate(std::uint32_t hw1, std::uint32_t hw2) {
   const std::uint32_t width = field(hw2, 0, 5);
   rd(field(hw2, 8, 4));
   rn(n);
-  const bool sp_result = out_.rd == 13 && n == 13 && (op == 0 || op == 10);
-  if (bad(out_.rd) && !sp_result) return undefined();
+  const bool sp_result = out_.rd == kSp && n == kSp && (op == 0 || op == 10);
+  if (is_sp_or_pc(out_.rd) && !sp_result) return undefined();
   switch (op) {
     case 0:
     case 10:  // ADDW, SUBW
-      if (n == 15) {
+      if (n == kPc) {
         out_.imm = op == 0 ? (pc() & ~3U) + imm12 : (pc() & ~3U) - imm12;
-        return put_alu<Alu::kMov, Op2::kImm>(false);
+        return put_alu<Alu::kMov, Op2::kImm>(kKeepFlags);
       }
       out_.imm = imm12;
-      return op == 0 ? put_alu<Alu::kAdd, Op2::kImm>(false) : put_alu<Alu::kSub, Op2::kImm>(false);
+      return op == 0 ? put_alu<Alu::kAdd, Op2::kImm>(kKeepFlags)
+                     : put_alu<Alu::kSub, Op2::kImm>(kKeepFlags);
     case 4:  // MOVW
       out_.imm = (n << 12) | imm12;
-      return put_alu<Alu::kMov, Op2::kImm>(false);
+      return put_alu<Alu::kMov, Op2::kImm>(kKeepFlags);
     case 12:  // MOVT
       out_.imm = (n << 12) | imm12;
       return put<&ops::move_top>();
@@ -390,7 +396,7 @@ void Decoder::plain_immediate(std::uint32_t hw1, std::uint32_t hw2) {
     case 26: {  // SSAT, USAT
       const bool arithmetic = (op & 2U) != 0;
       // Without a shift amount, bit 1 of the opcode means SSAT16 and USAT16: DSP extension.
-      if ((arithmetic && low_bit == 0) || bad(n)) return undefined();
+      if ((arithmetic && low_bit == 0) || is_sp_or_pc(n)) return undefined();
       ra(arithmetic ? 1 : 0);
       extra(low_bit);
       if (op < 20) {
@@ -402,12 +408,12 @@ void Decoder::plain_immediate(std::uint32_t hw1, std::uint32_t hw2) {
     }
     case 20:
     case 28:  // SBFX, UBFX; `width` is one less than the number of bits
-      if (low_bit + width > 31 || bad(n)) return undefined();
+      if (low_bit + width > 31 || is_sp_or_pc(n)) return undefined();
       extra(low_bit);
       out_.imm = width == 31 ? ~0U : (2U << width) - 1U;
       return op == 20 ? put<&ops::bit_field_signed>() : put<&ops::bit_field_unsigned>();
     case 22: {  // BFI, BFC; here `width` is the highest bit
-      if (width < low_bit || n == 13) return undefined();
+      if (width < low_bit || n == kSp) return undefined();
       const std::uint32_t bits = width - low_bit;
       extra(low_bit);
       out_.imm = bits == 31 ? ~0U : (2U << bits) - 1U;
@@ -428,31 +434,31 @@ void Decoder::register_operations(std::uint32_t hw1, std::uint32_t hw2) {
   rd(field(hw2, 8, 4));
   rn(field(hw1, 0, 4));
   rm(field(hw2, 0, 4));
-  if (field(hw2, 12, 4) != 15 || bad(out_.rd) || bad(out_.rm)) return undefined();
+  if (field(hw2, 12, 4) != 15 || is_sp_or_pc(out_.rd) || is_sp_or_pc(out_.rm)) return undefined();
   if (op1 < 8 && op2 == 0) {  // shift by a register; bit 0 of op1 sets the flags
-    if (bad(out_.rn)) return undefined();
+    if (is_sp_or_pc(out_.rn)) return undefined();
     switch (op1) {
       case 0:
-        return put<&ops::shift_by_register<Shift::kLsl, false>>();
+        return put<&ops::shift_by_register<Shift::kLsl, kKeepFlags>>();
       case 1:
-        return put<&ops::shift_by_register<Shift::kLsl, true>>();
+        return put<&ops::shift_by_register<Shift::kLsl, kSetFlags>>();
       case 2:
-        return put<&ops::shift_by_register<Shift::kLsr, false>>();
+        return put<&ops::shift_by_register<Shift::kLsr, kKeepFlags>>();
       case 3:
-        return put<&ops::shift_by_register<Shift::kLsr, true>>();
+        return put<&ops::shift_by_register<Shift::kLsr, kSetFlags>>();
       case 4:
-        return put<&ops::shift_by_register<Shift::kAsr, false>>();
+        return put<&ops::shift_by_register<Shift::kAsr, kKeepFlags>>();
       case 5:
-        return put<&ops::shift_by_register<Shift::kAsr, true>>();
+        return put<&ops::shift_by_register<Shift::kAsr, kSetFlags>>();
       case 6:
-        return put<&ops::shift_by_register<Shift::kRor, false>>();
+        return put<&ops::shift_by_register<Shift::kRor, kKeepFlags>>();
       default:
-        return put<&ops::shift_by_register<Shift::kRor, true>>();
+        return put<&ops::shift_by_register<Shift::kRor, kSetFlags>>();
     }
   }
   if (op1 < 8 && (op2 & 8U) != 0 && (op2 & 4U) == 0) {  // extensions
     // With a base register these are the DSP extension's extend-and-add.
-    if (out_.rn != 15) return undefined();
+    if (out_.rn != kPc) return undefined();
     extra(8 * field(hw2, 4, 2));  // the source is rotated by whole bytes
     switch (op1) {
       case 0:
@@ -494,17 +500,17 @@ void Decoder::multiply32(std::uint32_t hw1, std::uint32_t hw2) {
   rn(field(hw1, 0, 4));
   rm(field(hw2, 0, 4));
   ra(field(hw2, 12, 4));
-  if (field(hw1, 4, 3) != 0 || field(hw2, 6, 2) != 0 || bad(out_.rd) || bad(out_.rn) ||
-      bad(out_.rm)) {
+  if (field(hw1, 4, 3) != 0 || field(hw2, 6, 2) != 0 || is_sp_or_pc(out_.rd) ||
+      is_sp_or_pc(out_.rn) || is_sp_or_pc(out_.rm)) {
     return undefined();
   }
   cycles(2);
   const std::uint32_t op = field(hw2, 4, 2);
-  if (op == 0 && out_.ra == 15) {
+  if (op == 0 && out_.ra == kPc) {
     cycles(1);
-    return put<&ops::multiply<false>>();
+    return put<&ops::multiply<kKeepFlags>>();
   }
-  if (op > 1 || bad(out_.ra)) return undefined();
+  if (op > 1 || is_sp_or_pc(out_.ra)) return undefined();
   op == 0 ? put<&ops::multiply_add>() : put<&ops::multiply_subtract>();
 }
 
@@ -515,16 +521,17 @@ void Decoder::multiply_long32(std::uint32_t hw1, std::uint32_t hw2) {
   const std::uint32_t op2 = field(hw2, 4, 4);
   rn(field(hw1, 0, 4));
   rm(field(hw2, 0, 4));
-  if (bad(out_.rn) || bad(out_.rm)) return undefined();
+  if (is_sp_or_pc(out_.rn) || is_sp_or_pc(out_.rm)) return undefined();
   if ((op1 == 1 || op1 == 3) && op2 == 15) {
     rd(field(hw2, 8, 4));
-    if (field(hw2, 12, 4) != 15 || bad(out_.rd)) return undefined();
+    if (field(hw2, 12, 4) != 15 || is_sp_or_pc(out_.rd)) return undefined();
     cycles(2);  // the shortest division; the handler adds the others' cycles
     return op1 == 1 ? put<&ops::divide<true>>() : put<&ops::divide<false>>();
   }
   rd(field(hw2, 12, 4));
   ra(field(hw2, 8, 4));
-  if (op2 != 0 || bad(out_.rd) || bad(out_.ra) || out_.rd == out_.ra) return undefined();
+  if (op2 != 0 || is_sp_or_pc(out_.rd) || is_sp_or_pc(out_.ra) || out_.rd == out_.ra)
+    return undefined();
   cycles(op1 >= 4 ? 5 : 4);
   switch (op1) {
     case 0:

@@ -43,7 +43,7 @@ bool Decoder::near(std::uint32_t target) const {
   return window_.holds(target) && (same_plane || !window_.holds(kFlashBase));
 }
 
-// Cycles that a taken branch costs on top of one; a target of ~0 is unknown, and in another line.
+// Cycles that a taken branch costs on top of one; kUnknownTarget is in another line.
 // They are the refill, and the wait states of a flash line that is not being read anyhow.
 std::uint8_t Decoder::taken_cycles(std::uint32_t target) const {
   std::uint32_t count = kRefill;
@@ -155,29 +155,32 @@ Op2 Decoder::immediate_shift(std::uint32_t type, std::uint32_t amount) {
 }
 
 // LDR (literal) and its narrow forms. A word in flash becomes a constant of the instruction.
-void Decoder::literal(std::uint32_t size, bool sign, std::uint32_t address) {
+void Decoder::literal(Access access, std::uint32_t address) {
   cycles(2);
   out_.imm = address;
-  if (size == 4 && out_.rd == 15) {
-    cycles(2U + taken_cycles(~0U));
+  if (access == Access::kWord && out_.rd == kPc) {
+    cycles(2U + taken_cycles(kUnknownTarget));
     return put<&ops::load_literal_pc>();
   }
   const bool in_flash = window_.size() == kFlashSize;
-  if (size == 4 && in_flash && near(address) && (address & 3U) == 0) {
+  if (access == Access::kWord && in_flash && near(address) && (address & 3U) == 0) {
     // Flash only changes by programming, which empties the decoded copies.
     const std::uint8_t* bytes = window_.bytes() + (address - window_.base());
     std::memcpy(&out_.imm, bytes, 4);
-    return put_alu<Alu::kMov, Op2::kImm>(false);
+    return put_alu<Alu::kMov, Op2::kImm>(kKeepFlags);
   }
-  if (size == 1) {
-    return sign ? put_rd<&ops::load_literal<std::uint8_t, true>>()
-                : put_rd<&ops::load_literal<std::uint8_t, false>>();
+  switch (access) {
+    case Access::kByte:
+      return put_rd<&ops::load_literal<std::uint8_t, false>>();
+    case Access::kSignedByte:
+      return put_rd<&ops::load_literal<std::uint8_t, true>>();
+    case Access::kHalf:
+      return put_rd<&ops::load_literal<std::uint16_t, false>>();
+    case Access::kSignedHalf:
+      return put_rd<&ops::load_literal<std::uint16_t, true>>();
+    case Access::kWord:
+      return put_rd<&ops::load_literal<std::uint32_t, false>>();
   }
-  if (size == 2) {
-    return sign ? put_rd<&ops::load_literal<std::uint16_t, true>>()
-                : put_rd<&ops::load_literal<std::uint16_t, false>>();
-  }
-  put_rd<&ops::load_literal<std::uint32_t, false>>();
 }
 
 }  // namespace due_emulator

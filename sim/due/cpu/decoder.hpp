@@ -24,6 +24,18 @@ inline std::uint32_t sign_extend(std::uint32_t value, unsigned bits) {
   return (value ^ sign) - sign;
 }
 
+// What a load or store moves; a signed one is widened with its sign.
+enum class Access : std::uint8_t { kWord, kHalf, kByte, kSignedHalf, kSignedByte };
+
+// Names for what the functions below and the handlers take as numbers and booleans.
+inline constexpr bool kSetFlags = true;
+inline constexpr bool kKeepFlags = false;
+inline constexpr bool kLoad = true;
+inline constexpr bool kStore = false;
+inline constexpr std::uint32_t kWriteBack = 1;  // `ra` of LDM and STM: the base becomes the end
+inline constexpr std::uint32_t kKeepBase = 0;
+inline constexpr std::uint32_t kUnknownTarget = ~0U;
+
 class Decoder {
  public:
   // `it` is ITSTATE in front of the instruction at `address`.
@@ -69,7 +81,7 @@ class Decoder {
   // As put(), for handlers that write `rd`, which may be the stack pointer.
   template <Handler kHandler>
   void put_rd() {
-    if (out_.rd == 13) {
+    if (out_.rd == kSp) {
       put<&ops::into_sp<kHandler>>();
     } else {
       put<kHandler>();
@@ -87,11 +99,11 @@ class Decoder {
   // The same for a second operand that is known only at run time.
   template <ops::Alu kAlu>
   void put_op2(ops::Op2 op2, bool flags);
-  // Sets the handler of a load or store of `size` bytes; `sign`: the load extends the sign.
+  // Sets the handler of a load or store.
   template <ops::Mode kMode>
-  void put_load_store(std::uint32_t size, bool sign, bool is_load);
+  void put_load_store(Access access, bool is_load);
   // A load from `address`, which is relative to PC and so known when decoding.
-  void literal(std::uint32_t size, bool sign, std::uint32_t address);
+  void literal(Access access, std::uint32_t address);
   // Notes the shift's amount in `extra`; returns its kind. `type` is the encoding's field.
   ops::Op2 immediate_shift(std::uint32_t type, std::uint32_t amount);
 
@@ -147,26 +159,28 @@ void Decoder::put_op2(ops::Op2 op2, bool flags) {
   }
 }
 
-// Chooses the handler by size, sign and direction. A word that is loaded into PC branches.
+// Chooses the handler by access and direction. A word that is loaded into PC branches.
 template <ops::Mode kMode>
-void Decoder::put_load_store(std::uint32_t size, bool sign, bool is_load) {
+void Decoder::put_load_store(Access access, bool is_load) {
   using u8 = std::uint8_t;
   using u16 = std::uint16_t;
   using u32 = std::uint32_t;
   cycles(is_load ? 2 : 1);
-  if (!is_load) {
-    if (size == 1) return put<&ops::store<u8, kMode>>();
-    if (size == 2) return put<&ops::store<u16, kMode>>();
-    return put<&ops::store<u32, kMode>>();
+  switch (access) {
+    case Access::kByte:
+      return is_load ? put_rd<&ops::load<u8, false, kMode>>() : put<&ops::store<u8, kMode>>();
+    case Access::kHalf:
+      return is_load ? put_rd<&ops::load<u16, false, kMode>>() : put<&ops::store<u16, kMode>>();
+    case Access::kSignedByte:
+      return put_rd<&ops::load<u8, true, kMode>>();
+    case Access::kSignedHalf:
+      return put_rd<&ops::load<u16, true, kMode>>();
+    case Access::kWord:
+      break;
   }
-  if (size == 1) {
-    return sign ? put_rd<&ops::load<u8, true, kMode>>() : put_rd<&ops::load<u8, false, kMode>>();
-  }
-  if (size == 2) {
-    return sign ? put_rd<&ops::load<u16, true, kMode>>() : put_rd<&ops::load<u16, false, kMode>>();
-  }
-  if (out_.rd == 15) {
-    cycles(2U + taken_cycles(~0U));
+  if (!is_load) return put<&ops::store<u32, kMode>>();
+  if (out_.rd == kPc) {
+    cycles(2U + taken_cycles(kUnknownTarget));
     return put<&ops::load_pc<kMode>>();
   }
   put_rd<&ops::load<u32, false, kMode>>();

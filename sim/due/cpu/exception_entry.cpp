@@ -40,7 +40,7 @@ constexpr std::uint32_t kPsrIpsr = 0x1FF;
 // Makes r13 the process or the main stack pointer; the other one is in other_sp_.
 void Cpu::use_psp(bool psp) {
   if (psp == uses_psp_) return;
-  std::swap(r[13], other_sp_);
+  std::swap(r[kSp], other_sp_);
   uses_psp_ = psp;
 }
 
@@ -88,18 +88,18 @@ void Cpu::raise(const Fault& fault, bool synchronous) {
 // entry goes on.
 void Cpu::push_frame() {
   const bool align = (ccr & kCcrStackAlign) != 0;
-  const std::uint32_t padding = align && (r[13] & 4U) != 0 ? 4U : 0U;
-  const std::uint32_t frame = r[13] - kFrameBytes - padding;
+  const std::uint32_t padding = align && (r[kSp] & 4U) != 0 ? 4U : 0U;
+  const std::uint32_t frame = r[kSp] - kFrameBytes - padding;
   const std::uint32_t return_address = pc();
   const std::uint32_t saved_psr = xpsr() | (padding != 0 ? kPsrPadded : 0U);
-  r[13] = frame;
+  r[kSp] = frame;
   try {
-    const std::uint32_t words[8] = {r[0],  r[1],  r[2],           r[3],
-                                    r[12], r[14], return_address, saved_psr};
+    const std::uint32_t words[8] = {r[0],  r[1],   r[2],           r[3],
+                                    r[12], r[kLr], return_address, saved_psr};
     for (unsigned i = 0; i < 8; ++i) store<std::uint32_t>(frame + 4 * i, words[i]);
   } catch (const Fault& fault) {
     const bool bus = fault.exception == exc::kBusFault;
-    raise({fault.exception, bus ? cfsr::kStkErr : cfsr::kMstkErr, 0, false}, false);
+    raise({fault.exception, bus ? cfsr::kStkErr : cfsr::kMstkErr}, kAsynchronous);
   }
 }
 
@@ -127,7 +127,7 @@ void Cpu::enter_handler(std::uint32_t exc_return) {
   }
   use_psp(false);
   ipsr_ = number;
-  r[14] = exc_return;
+  r[kLr] = exc_return;
   exceptions_.activate(number);
   exclusive = false;
   exceptions_.event = true;
@@ -152,10 +152,10 @@ void Cpu::fail_return(std::uint32_t exc_return) {
   if (exceptions_.active(static_cast<std::uint8_t>(ipsr_))) {
     exceptions_.deactivate(static_cast<std::uint8_t>(ipsr_));
   }
-  r[14] = 0xF0000000U | exc_return;
-  raise({exc::kUsageFault, cfsr::kInvPc, 0, false}, true);
+  r[kLr] = 0xF0000000U | exc_return;
+  raise({exc::kUsageFault, cfsr::kInvPc}, kSynchronous);
   // The frame of the interrupted code is still on the stack: enter without another one.
-  enter_handler(r[14]);
+  enter_handler(r[kLr]);
 }
 
 // Exception return (B1.5.8): checks EXC_RETURN, ends the exception, and continues with the next
@@ -168,7 +168,7 @@ const Insn* Cpu::return_from_exception(std::uint32_t exc_return) {
   const bool base_only = (ccr & kCcrNonBaseThread) == 0 && nesting != 1;
   const bool to_handler = exc_return == kReturnHandler;
   const bool to_thread = exc_return == kReturnThreadMain || exc_return == kReturnThreadProcess;
-  stop_at_ = 0;
+  stop_at_ = 0;  // ends the burst: another exception may be urgent enough now
   if (!exceptions_.active(number) || (!to_handler && !to_thread) || (to_handler && nesting == 1) ||
       (to_thread && base_only)) {
     fail_return(exc_return);
@@ -196,7 +196,7 @@ void Cpu::pop_frame(std::uint32_t exc_return) {
   const bool process = exc_return == kReturnThreadProcess;
   if (exc_return != kReturnHandler) spsel_ = process;
   use_psp(process);
-  const std::uint32_t frame = r[13];
+  const std::uint32_t frame = r[kSp];
   std::uint32_t words[8] = {};
   try {
     for (unsigned i = 0; i < 8; ++i) words[i] = load<std::uint32_t>(frame + 4 * i);
@@ -204,7 +204,7 @@ void Cpu::pop_frame(std::uint32_t exc_return) {
     const bool bus = fault.exception == exc::kBusFault;
     ip_ = bad_slot(exc_return);
     use_psp(false);
-    raise({fault.exception, bus ? cfsr::kUnstkErr : cfsr::kMunstkErr, 0, false}, true);
+    raise({fault.exception, bus ? cfsr::kUnstkErr : cfsr::kMunstkErr}, kSynchronous);
     enter_handler(exc_return);
     return;
   }
@@ -213,16 +213,16 @@ void Cpu::pop_frame(std::uint32_t exc_return) {
   const std::uint32_t new_ipsr = psr & kPsrIpsr;
   if ((exc_return == kReturnHandler) != (new_ipsr != 0)) {
     use_psp(false);
-    r[14] = 0xF0000000U | exc_return;
+    r[kLr] = 0xF0000000U | exc_return;
     ip_ = bad_slot(exc_return);
-    raise({exc::kUsageFault, cfsr::kInvPc, 0, false}, true);
-    enter_handler(r[14]);
+    raise({exc::kUsageFault, cfsr::kInvPc}, kSynchronous);
+    enter_handler(r[kLr]);
     return;
   }
   std::copy_n(words, 4, r);
   r[12] = words[4];
-  r[14] = words[5];
-  r[13] = frame + kFrameBytes + (padded ? 4U : 0U);
+  r[kLr] = words[5];
+  r[kSp] = frame + kFrameBytes + (padded ? 4U : 0U);
   ipsr_ = new_ipsr;
   set_apsr(psr);
   thumb_ = (psr & kPsrThumb) != 0;
@@ -236,7 +236,7 @@ void Cpu::pop_frame(std::uint32_t exc_return) {
 
 // SVC: the exception is taken before the next instruction; if it cannot be, it is a fault.
 const Insn* Cpu::supervisor_call(const Insn* insn) {
-  if (!exceptions_.can_take(exc::kSvCall)) throw Fault{exc::kSvCall, 0, 0, false};
+  if (!exceptions_.can_take(exc::kSvCall)) throw Fault{exc::kSvCall, 0};
   exceptions_.pend(exc::kSvCall);
   return insn + insn->length;
 }
@@ -245,7 +245,7 @@ const Insn* Cpu::supervisor_call(const Insn* insn) {
 const Insn* Cpu::breakpoint_instruction(const Insn*) {
   // No debugger is attached to the core, so the event becomes a HardFault.
   hfsr |= kHfsrDebugEvent;
-  throw Fault{exc::kHardFault, 0, 0, false};
+  throw Fault{exc::kHardFault, 0};
 }
 
 // WFI: sleeps until an exception pends that could preempt.
@@ -320,17 +320,18 @@ std::uint32_t Cpu::read_special(unsigned sysm) const {
 
 // MSR. Bit 3 of `mask` writes the flags of APSR.
 void Cpu::write_special(unsigned sysm, std::uint32_t value, unsigned mask) {
+  // APSR and its combinations with IPSR and EPSR, of which only the flags can be written.
   if (sysm < 4) {
-    if ((mask & 8U) != 0) set_apsr(value);
+    if ((mask & 8U) != 0) set_apsr(value);  // bit 3 of the mask: N, Z, C, V, Q
     return;
   }
   if (!privileged()) return;
   switch (sysm) {
     case kMsp:
-      (uses_psp_ ? other_sp_ : r[13]) = value & ~3U;
+      (uses_psp_ ? other_sp_ : r[kSp]) = value & ~3U;
       break;
     case kPsp:
-      (uses_psp_ ? r[13] : other_sp_) = value & ~3U;
+      (uses_psp_ ? r[kSp] : other_sp_) = value & ~3U;
       break;
     case kPrimask:
       exceptions_.set_primask((value & 1U) != 0);
@@ -351,9 +352,9 @@ void Cpu::write_special(unsigned sysm, std::uint32_t value, unsigned mask) {
       }
       break;
     case kControl:
-      unprivileged_thread_ = (value & 1U) != 0;
+      unprivileged_thread_ = (value & 1U) != 0;  // nPRIV
       if (ipsr_ == 0) {
-        spsel_ = (value & 2U) != 0;
+        spsel_ = (value & 2U) != 0;  // SPSEL
         use_psp(spsel_);
       }
       break;

@@ -12,6 +12,11 @@ struct Insn;
 // Executes the instruction and returns the next one to execute.
 using Handler = const Insn* (*)(Cpu&, const Insn*);
 
+// Numbers of the registers with a role of their own.
+inline constexpr std::uint8_t kSp = 13;
+inline constexpr std::uint8_t kLr = 14;
+inline constexpr std::uint8_t kPc = 15;
+
 struct Insn {
   Handler run;
   std::uint32_t imm;  // immediate, absolute branch target, or literal
@@ -30,8 +35,8 @@ struct Insn {
 struct Fault {
   std::uint8_t exception;
   std::uint32_t cfsr;
-  std::uint32_t address;
-  bool has_address;
+  std::uint32_t address = 0;
+  bool has_address = false;
 };
 
 // Bits of the configurable fault status register.

@@ -64,13 +64,13 @@ inline const Insn* compare_and_branch(Cpu& c, const Insn* i) {
 
 // BL to a target in the same memory. `imm` is the return address, which goes to LR (r14).
 inline const Insn* branch_link_near(Cpu& c, const Insn* i) {
-  c.r[14] = i->imm;
+  c.r[kLr] = i->imm;
   return i + i->step;
 }
 
 // BL to another memory: `imm` is the target, so the return address is computed.
 inline const Insn* branch_link_far(Cpu& c, const Insn* i) {
-  c.r[14] = (c.pc_of(i) + 4) | 1U;
+  c.r[kLr] = (c.pc_of(i) + 4) | 1U;
   return c.slot(i->imm);
 }
 
@@ -80,7 +80,7 @@ inline const Insn* branch_exchange(Cpu& c, const Insn* i) { return c.branch_exch
 // BLX: `imm` is the return address.
 inline const Insn* branch_link_exchange(Cpu& c, const Insn* i) {
   const std::uint32_t target = c.r[i->rm];
-  c.r[14] = i->imm;
+  c.r[kLr] = i->imm;
   return c.branch_exchange(target);
 }
 
@@ -94,16 +94,14 @@ inline const Insn* add_to_pc(Cpu& c, const Insn* i) { return c.slot((i->imm + c.
 // instruction if rn is PC.
 template <typename T>
 const Insn* table_branch(Cpu& c, const Insn* i) {
-  const std::uint32_t base = i->rn == 15 ? i->imm : c.r[i->rn];
+  const std::uint32_t base = i->rn == kPc ? i->imm : c.r[i->rn];
   const std::uint32_t entry = c.load<T>(base + c.r[i->rm] * static_cast<std::uint32_t>(sizeof(T)));
   return c.slot(i->imm + 2 * entry);
 }
 
 inline const Insn* nop(Cpu&, const Insn* i) { return next(i); }
 inline const Insn* undefined(Cpu& c, const Insn* i) { c.undefined(i); }
-inline const Insn* no_coprocessor(Cpu&, const Insn*) {
-  throw Fault{exc::kUsageFault, cfsr::kNoCp, 0, false};
-}
+inline const Insn* no_coprocessor(Cpu&, const Insn*) { throw Fault{exc::kUsageFault, cfsr::kNoCp}; }
 inline const Insn* supervisor_call(Cpu& c, const Insn* i) { return c.supervisor_call(i); }
 inline const Insn* breakpoint(Cpu& c, const Insn* i) { return c.breakpoint_instruction(i); }
 inline const Insn* wait_for_interrupt(Cpu& c, const Insn* i) { return c.wait_for_interrupt(i); }

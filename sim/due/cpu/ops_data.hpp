@@ -261,7 +261,7 @@ const Insn* unary(Cpu& c, const Insn* i) {
 // BFI; with rn = 15 it is BFC, which inserts zeros. In all bit field handlers `extra` is the least
 // significant bit, `imm` the mask of the field at bit 0.
 inline const Insn* bit_field_insert(Cpu& c, const Insn* i) {
-  const std::uint32_t source = i->rn == 15 ? 0 : c.r[i->rn];
+  const std::uint32_t source = i->rn == kPc ? 0 : c.r[i->rn];
   const std::uint32_t mask = i->imm << i->extra;
   c.r[i->rd] = (c.r[i->rd] & ~mask) | ((source << i->extra) & mask);
   return next(i);
@@ -348,7 +348,8 @@ const Insn* divide(Cpu& c, const Insn* i) {
   const std::uint32_t a = c.r[i->rn];
   const std::uint32_t b = c.r[i->rm];
   if (b == 0) {
-    if ((c.ccr & 0x10U) != 0) throw Fault{exc::kUsageFault, cfsr::kDivByZero, 0, false};
+    if ((c.ccr & 0x10U) != 0)  // DIV_0_TRP
+      throw Fault{exc::kUsageFault, cfsr::kDivByZero};
     c.r[i->rd] = 0;
     return next(i);
   }
@@ -369,7 +370,7 @@ const Insn* divide(Cpu& c, const Insn* i) {
 template <Handler kInner>
 const Insn* into_sp(Cpu& c, const Insn* i) {
   const Insn* after = kInner(c, i);
-  c.r[13] &= ~3U;
+  c.r[kSp] &= ~3U;
   return after;
 }
 

@@ -27,7 +27,7 @@ template <Mode kMode>
 inline void write_back(Cpu& c, const Insn* i) {
   if constexpr (kMode == Mode::kPre || kMode == Mode::kPost) {
     c.r[i->rn] += i->imm;
-    if (i->rn == 13) c.r[13] &= ~3U;
+    if (i->rn == kSp) c.r[kSp] &= ~3U;
   }
 }
 
@@ -119,7 +119,7 @@ const Insn* store_double(Cpu& c, const Insn* i) {
 template <bool kDecrementBefore>
 inline void write_back_multiple(Cpu& c, const Insn* i) {
   c.r[i->rn] += kDecrementBefore ? 0U - i->extra : i->extra;
-  if (i->rn == 13) c.r[13] &= ~3U;
+  if (i->rn == kSp) c.r[kSp] &= ~3U;
 }
 
 // LDM and POP, in ascending order of registers and addresses. Bit 15 of the list is PC, which

@@ -69,9 +69,9 @@ const Insn* Cpu::marked(const Insn* insn) {
   step_over_ = 1;
   if ((mark.kinds & kProbeReturn) != 0) close_probes(address);
   if ((mark.kinds & kProbe) != 0) {
-    const std::uint32_t back = r[14] & ~1U;
+    const std::uint32_t back = r[kLr] & ~1U;
     const std::size_t depth = open_exceptions_.size();
-    open_probes_.push_back({address, back, r[13], instructions_ - 1, nested_[depth], depth});
+    open_probes_.push_back({address, back, r[kSp], instructions_ - 1, nested_[depth], depth});
     set_mark(back, kProbeReturn);
   }
   return mark.original(*this, insn);
@@ -83,7 +83,7 @@ void Cpu::close_probes(std::uint32_t address) {
   const std::size_t depth = open_exceptions_.size();
   while (!open_probes_.empty()) {
     const OpenProbe probe = open_probes_.back();
-    if (probe.return_address != address || probe.sp != r[13] || probe.depth != depth) return;
+    if (probe.return_address != address || probe.sp != r[kSp] || probe.depth != depth) return;
     open_probes_.pop_back();
     // The instruction at the return address has been counted already; it is not the function's.
     const std::uint64_t own =

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from due_emulator._due import BareCore, Due, Stop
+from due_emulator._due import BareCore, Due, ExceptionStats, ProbeStats, Stop
 from due_emulator.errors import EmulatorError, GdbError, ImageError
 from due_emulator.image import Image, Symbol, read_image
 from due_emulator.machine import Report, load_image, new_due, report_of
@@ -11,9 +11,11 @@ __all__ = [
     "BareCore",
     "Due",
     "EmulatorError",
+    "ExceptionStats",
     "GdbError",
     "Image",
     "ImageError",
+    "ProbeStats",
     "Report",
     "Stop",
     "Symbol",

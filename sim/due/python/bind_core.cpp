@@ -40,8 +40,8 @@ class BareCore {
     std::uint8_t* to = place(address, size);
     std::memcpy(to, data.c_str(), size);
     system_.memory.forget_flash_code();
-    system_.memory.windows[2].forget_all();
-    system_.memory.windows[3].forget_all();
+    system_.memory.windows[Memory::kSram].forget_all();
+    system_.memory.windows[Memory::kSram0].forget_all();
   }
 
   nb::bytes read(std::uint32_t address, std::uint32_t size) {

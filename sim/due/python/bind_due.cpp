@@ -359,7 +359,17 @@ void bind_debugging(nb::class_<Due>& due) {
 }
 
 // Costs of functions (probes) and of exception handlers.
-void bind_measuring(nb::class_<Due>& due) {
+void bind_measuring(nb::module_& module, nb::class_<Due>& due) {
+  nb::class_<ProbeStats>(module, "ProbeStats")
+      .def_ro("count", &ProbeStats::count)
+      .def_ro("instructions", &ProbeStats::instructions)
+      .def_ro("max_instructions", &ProbeStats::max_instructions)
+      .def_ro("last_instructions", &ProbeStats::last_instructions);
+  nb::class_<ExceptionStats>(module, "ExceptionStats")
+      .def_ro("count", &ExceptionStats::count)
+      .def_ro("instructions", &ExceptionStats::instructions)
+      .def_ro("max_instructions", &ExceptionStats::max_instructions)
+      .def_ro("max_cycles", &ExceptionStats::max_cycles);
   due.def(
          "add_probe",
          [](Due& self, std::uint32_t address) { self.chip.system.cpu.add_probe(address); },
@@ -367,19 +377,14 @@ void bind_measuring(nb::class_<Due>& due) {
       .def(
           "probe",
           [](const Due& self, std::uint32_t address) {
-            const ProbeStats stats = self.chip.system.cpu.probe(address);
-            return std::make_tuple(stats.count, stats.instructions, stats.max_instructions,
-                                   stats.last_instructions);
+            return self.chip.system.cpu.probe(address);
           },
           nb::arg("address"))
       .def(
           "exception_stats",
           [](const Due& self, unsigned number) {
             if (number >= exc::kCount) throw std::invalid_argument("there are exceptions 0 to 60");
-            const ExceptionStats& stats =
-                self.chip.system.cpu.stats(static_cast<std::uint8_t>(number));
-            return std::make_tuple(stats.count, stats.instructions, stats.max_instructions,
-                                   stats.max_cycles);
+            return self.chip.system.cpu.stats(static_cast<std::uint8_t>(number));
           },
           nb::arg("number"))
       .def(
@@ -403,5 +408,5 @@ NB_MODULE(_due, module) {
   bind_running(due);
   bind_outside(due);
   bind_debugging(due);
-  bind_measuring(due);
+  bind_measuring(module, due);
 }

@@ -185,9 +185,9 @@ def test_sleep_on_exit_leaves_the_thread_asleep(program: str) -> None:
 
 def test_entry_and_tail_chaining_cost_their_cycles(program: str) -> None:
     due = run(program, 2)
-    count, instructions, _, most_cycles = due.exception_stats(IRQ0)
-    assert count == 1
-    assert instructions < most_cycles < 3 * instructions
+    cost = due.exception_stats(IRQ0)
+    assert cost.count == 1
+    assert cost.instructions < cost.max_cycles < 3 * cost.instructions
 
 
 def test_what_arrives_during_stacking_is_entered_first_on_the_same_frame(program: str) -> None:

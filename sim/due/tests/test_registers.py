@@ -143,7 +143,7 @@ def test_the_headers_addresses_are_the_vendors(described: dict[int, Register]) -
 def test_a_clock_of_milliseconds_blinks_a_led(build: Build) -> None:
     due, image = started(build, "millis.c", 10_000)
     before = word(due, image, "millis")
-    assert high_us(due, "PC8", 200_000, 500) == pytest.approx(100_000, abs=1000)
+    assert high_us(due, "PC8", duration_us=200_000, step_us=500) == pytest.approx(100_000, abs=1000)
     assert word(due, image, "millis") - before == 200
 
 
@@ -168,7 +168,7 @@ def test_a_ramp_of_the_pwm_comes_out_at_its_pin(build: Build) -> None:
     assert max(duties) == 1.0
     while abs(due.pin_duty("PC23") - 0.3) > 0.004:
         due.run_us(1000)
-    assert high_us(due, "PC23", 1000, 2) == pytest.approx(300, abs=25)
+    assert high_us(due, "PC23", duration_us=1000, step_us=2) == pytest.approx(300, abs=25)
 
 
 def test_each_edge_of_a_pin_interrupts_whom_it_should(build: Build) -> None:

@@ -72,11 +72,14 @@ class Encoding:
         return (word >> 16).to_bytes(2, "little") + (word & 0xFFFF).to_bytes(2, "little")
 
 
-def _no(*letters: str, bad: tuple[int, ...] = (13, 15)) -> Callable[[Fields], bool]:
-    return lambda f: all(f[c] not in bad for c in letters)
+def _not_sp_or_pc(*letters: str) -> Callable[[Fields], bool]:
+    """Whether the registers that these fields name are neither the stack pointer nor the program counter."""
+    return lambda f: all(f[letter] not in (13, 15) for letter in letters)
 
 
-def _e(name: str, bits: str, ok: Callable[[Fields], bool] = lambda f: True, **more: object) -> Encoding:
+def _encoding(
+    name: str, bits: str, ok: Callable[[Fields], bool] = lambda f: True, **more: object
+) -> Encoding:
     # `more` are fields of Encoding, whose types differ.
     return Encoding(name, bits.replace(" ", ""), ok, **more)  # type: ignore[arg-type]
 
@@ -87,6 +90,9 @@ def _modified(f: Fields) -> bool:
 
 
 def _data_processing() -> list[Encoding]:
+    """Return those of 32 bits. Fields: n, m, a: operands; d, l: results; i: immediate or lowest bit;
+    w: width; s: sets the flags; t: kind of shift; r: rotation.
+    """
     table = []
     for name, op in (
         ("AND", "0000"),
@@ -101,101 +107,130 @@ def _data_processing() -> list[Encoding]:
         ("ORN", "0011"),
     ):
         table.append(
-            _e(
+            _encoding(
                 f"{name} imm",
                 f"11110i0{op}snnnn 0iiiddddiiiiiiii",
-                lambda f: _no("n", "d")(f) and _modified(f),
+                lambda f: _not_sp_or_pc("n", "d")(f) and _modified(f),
                 writes="d",
             )
         )
-        table.append(_e(f"{name} reg", f"1110101{op}snnnn 0iiiddddiittmmmm", _no("n", "d", "m"), writes="d"))
+        table.append(
+            _encoding(
+                f"{name} reg", f"1110101{op}snnnn 0iiiddddiittmmmm", _not_sp_or_pc("n", "d", "m"), writes="d"
+            )
+        )
     for name, op in (("TST", "0000"), ("TEQ", "0100"), ("CMN", "1000"), ("CMP", "1101")):
         table.append(
-            _e(f"{name} imm", f"11110i0{op}1nnnn 0iii1111iiiiiiii", lambda f: _no("n")(f) and _modified(f))
+            _encoding(
+                f"{name} imm",
+                f"11110i0{op}1nnnn 0iii1111iiiiiiii",
+                lambda f: _not_sp_or_pc("n")(f) and _modified(f),
+            )
         )
-        table.append(_e(f"{name} reg", f"1110101{op}1nnnn 0iii1111iittmmmm", _no("n", "m")))
+        table.append(_encoding(f"{name} reg", f"1110101{op}1nnnn 0iii1111iittmmmm", _not_sp_or_pc("n", "m")))
     for name, op in (("MOV", "0010"), ("MVN", "0011")):
         table.append(
-            _e(
+            _encoding(
                 f"{name} imm",
                 f"11110i0{op}s1111 0iiiddddiiiiiiii",
-                lambda f: _no("d")(f) and _modified(f),
+                lambda f: _not_sp_or_pc("d")(f) and _modified(f),
                 writes="d",
             )
         )
-        table.append(_e(f"{name} reg", f"1110101{op}s1111 0iiiddddiittmmmm", _no("d", "m"), writes="d"))
+        table.append(
+            _encoding(
+                f"{name} reg", f"1110101{op}s1111 0iiiddddiittmmmm", _not_sp_or_pc("d", "m"), writes="d"
+            )
+        )
     table += [
-        _e("ADDW", "11110i100000nnnn 0iiiddddiiiiiiii", _no("n", "d"), writes="d"),
-        _e("SUBW", "11110i101010nnnn 0iiiddddiiiiiiii", _no("n", "d"), writes="d"),
-        _e("ADR+", "11110i1000001111 0iiiddddiiiiiiii", _no("d"), writes="d"),
-        _e("ADR-", "11110i1010101111 0iiiddddiiiiiiii", _no("d"), writes="d"),
-        _e("MOVW", "11110i100100iiii 0iiiddddiiiiiiii", _no("d"), writes="d"),
-        _e("MOVT", "11110i101100iiii 0iiiddddiiiiiiii", _no("d"), writes="d"),
-        _e("SSAT lsl", "111100110000nnnn 0iiiddddii0wwwww", _no("n", "d"), writes="d"),
-        _e(
+        _encoding("ADDW", "11110i100000nnnn 0iiiddddiiiiiiii", _not_sp_or_pc("n", "d"), writes="d"),
+        _encoding("SUBW", "11110i101010nnnn 0iiiddddiiiiiiii", _not_sp_or_pc("n", "d"), writes="d"),
+        _encoding("ADR+", "11110i1000001111 0iiiddddiiiiiiii", _not_sp_or_pc("d"), writes="d"),
+        _encoding("ADR-", "11110i1010101111 0iiiddddiiiiiiii", _not_sp_or_pc("d"), writes="d"),
+        _encoding("MOVW", "11110i100100iiii 0iiiddddiiiiiiii", _not_sp_or_pc("d"), writes="d"),
+        _encoding("MOVT", "11110i101100iiii 0iiiddddiiiiiiii", _not_sp_or_pc("d"), writes="d"),
+        _encoding("SSAT lsl", "111100110000nnnn 0iiiddddii0wwwww", _not_sp_or_pc("n", "d"), writes="d"),
+        _encoding(
             "SSAT asr",
             "111100110010nnnn 0iiiddddii0wwwww",
-            lambda f: _no("n", "d")(f) and f["i"] != 0,
+            lambda f: _not_sp_or_pc("n", "d")(f) and f["i"] != 0,
             writes="d",
         ),
-        _e("USAT lsl", "111100111000nnnn 0iiiddddii0wwwww", _no("n", "d"), writes="d"),
-        _e(
+        _encoding("USAT lsl", "111100111000nnnn 0iiiddddii0wwwww", _not_sp_or_pc("n", "d"), writes="d"),
+        _encoding(
             "USAT asr",
             "111100111010nnnn 0iiiddddii0wwwww",
-            lambda f: _no("n", "d")(f) and f["i"] != 0,
+            lambda f: _not_sp_or_pc("n", "d")(f) and f["i"] != 0,
             writes="d",
         ),
-        _e(
+        _encoding(
             "SBFX",
             "111100110100nnnn 0iiiddddii0wwwww",
-            lambda f: _no("n", "d")(f) and f["i"] + f["w"] < 32,
+            lambda f: _not_sp_or_pc("n", "d")(f) and f["i"] + f["w"] < 32,
             writes="d",
         ),
-        _e(
+        _encoding(
             "UBFX",
             "111100111100nnnn 0iiiddddii0wwwww",
-            lambda f: _no("n", "d")(f) and f["i"] + f["w"] < 32,
+            lambda f: _not_sp_or_pc("n", "d")(f) and f["i"] + f["w"] < 32,
             writes="d",
         ),
-        _e(
+        _encoding(
             "BFI",
             "111100110110nnnn 0iiiddddii0wwwww",
-            lambda f: _no("n", "d")(f) and f["w"] >= f["i"],
+            lambda f: _not_sp_or_pc("n", "d")(f) and f["w"] >= f["i"],
             writes="d",
         ),
-        _e(
-            "BFC", "1111001101101111 0iiiddddii0wwwww", lambda f: _no("d")(f) and f["w"] >= f["i"], writes="d"
+        _encoding(
+            "BFC",
+            "1111001101101111 0iiiddddii0wwwww",
+            lambda f: _not_sp_or_pc("d")(f) and f["w"] >= f["i"],
+            writes="d",
         ),
     ]
     for name, op in (("LSL", "00"), ("LSR", "01"), ("ASR", "10"), ("ROR", "11")):
         table.append(
-            _e(f"{name} reg", f"111110100{op}snnnn 1111dddd0000mmmm", _no("n", "d", "m"), writes="d")
+            _encoding(
+                f"{name} reg",
+                f"111110100{op}snnnn 1111dddd0000mmmm",
+                _not_sp_or_pc("n", "d", "m"),
+                writes="d",
+            )
         )
     for name, op in (("SXTH", "000"), ("UXTH", "001"), ("SXTB", "100"), ("UXTB", "101")):
-        table.append(_e(f"{name}.W", f"111110100{op}1111 1111dddd10rrmmmm", _no("d", "m"), writes="d"))
+        table.append(
+            _encoding(f"{name}.W", f"111110100{op}1111 1111dddd10rrmmmm", _not_sp_or_pc("d", "m"), writes="d")
+        )
     for name, op in (("REV", "00"), ("REV16", "01"), ("RBIT", "10"), ("REVSH", "11")):
         for m in range(16):
             if m in (13, 15):
                 continue
             same = f"{m:04b}"
             table.append(
-                _e(f"{name}.W r{m}", f"111110101001{same} 1111dddd10{op}{same}", _no("d"), writes="d")
+                _encoding(
+                    f"{name}.W r{m}",
+                    f"111110101001{same} 1111dddd10{op}{same}",
+                    _not_sp_or_pc("d"),
+                    writes="d",
+                )
             )
     for m in range(13):
-        table.append(_e(f"CLZ r{m}", f"111110101011{m:04b} 1111dddd1000{m:04b}", _no("d"), writes="d"))
+        table.append(
+            _encoding(f"CLZ r{m}", f"111110101011{m:04b} 1111dddd1000{m:04b}", _not_sp_or_pc("d"), writes="d")
+        )
     table += [
-        _e("MUL.W", "111110110000nnnn 1111dddd0000mmmm", _no("n", "d", "m"), writes="d"),
-        _e("MLA", "111110110000nnnn aaaadddd0000mmmm", _no("n", "d", "m", "a"), writes="d"),
-        _e("MLS", "111110110000nnnn aaaadddd0001mmmm", _no("n", "d", "m", "a"), writes="d"),
-        _e("SDIV", "111110111001nnnn 1111dddd1111mmmm", _no("n", "d", "m"), writes="d"),
-        _e("UDIV", "111110111011nnnn 1111dddd1111mmmm", _no("n", "d", "m"), writes="d"),
+        _encoding("MUL.W", "111110110000nnnn 1111dddd0000mmmm", _not_sp_or_pc("n", "d", "m"), writes="d"),
+        _encoding("MLA", "111110110000nnnn aaaadddd0000mmmm", _not_sp_or_pc("n", "d", "m", "a"), writes="d"),
+        _encoding("MLS", "111110110000nnnn aaaadddd0001mmmm", _not_sp_or_pc("n", "d", "m", "a"), writes="d"),
+        _encoding("SDIV", "111110111001nnnn 1111dddd1111mmmm", _not_sp_or_pc("n", "d", "m"), writes="d"),
+        _encoding("UDIV", "111110111011nnnn 1111dddd1111mmmm", _not_sp_or_pc("n", "d", "m"), writes="d"),
     ]
     for name, op in (("SMULL", "000"), ("UMULL", "010"), ("SMLAL", "100"), ("UMLAL", "110")):
         table.append(
-            _e(
+            _encoding(
                 name,
                 f"111110111{op}nnnn lllldddd0000mmmm",
-                lambda f: _no("n", "d", "m", "l")(f) and f["l"] != f["d"],
+                lambda f: _not_sp_or_pc("n", "d", "m", "l")(f) and f["l"] != f["d"],
                 writes="dl",
             )
         )
@@ -204,34 +239,36 @@ def _data_processing() -> list[Encoding]:
 
 def _narrow() -> list[Encoding]:
     table = [
-        _e("LSL T1", "00000iiiiimmmddd", writes="d"),
-        _e("LSR T1", "00001iiiiimmmddd", writes="d"),
-        _e("ASR T1", "00010iiiiimmmddd", writes="d"),
-        _e("ADD T1", "0001100mmmnnnddd", writes="d"),
-        _e("SUB T1", "0001101mmmnnnddd", writes="d"),
-        _e("ADD imm3", "0001110iiinnnddd", writes="d"),
-        _e("SUB imm3", "0001111iiinnnddd", writes="d"),
-        _e("MOV imm8", "00100dddiiiiiiii", writes="d"),
-        _e("CMP imm8", "00101nnniiiiiiii"),
-        _e("ADD imm8", "00110dddiiiiiiii", writes="d"),
-        _e("SUB imm8", "00111dddiiiiiiii", writes="d"),
-        _e(
+        _encoding("LSL T1", "00000iiiiimmmddd", writes="d"),
+        _encoding("LSR T1", "00001iiiiimmmddd", writes="d"),
+        _encoding("ASR T1", "00010iiiiimmmddd", writes="d"),
+        _encoding("ADD T1", "0001100mmmnnnddd", writes="d"),
+        _encoding("SUB T1", "0001101mmmnnnddd", writes="d"),
+        _encoding("ADD imm3", "0001110iiinnnddd", writes="d"),
+        _encoding("SUB imm3", "0001111iiinnnddd", writes="d"),
+        _encoding("MOV imm8", "00100dddiiiiiiii", writes="d"),
+        _encoding("CMP imm8", "00101nnniiiiiiii"),
+        _encoding("ADD imm8", "00110dddiiiiiiii", writes="d"),
+        _encoding("SUB imm8", "00111dddiiiiiiii", writes="d"),
+        _encoding(
             "ADD hi",
             "01000100dmmmmddd",
             lambda f: f["d"] != 15 and f["m"] not in (13, 15) and f["d"] != 13,
             writes="d",
         ),
-        _e("CMP hi", "01000101nmmmmnnn", lambda f: f["n"] < 15 and f["m"] < 15 and max(f["n"], f["m"]) > 7),
-        _e("MOV hi", "01000110dmmmmddd", lambda f: f["d"] not in (13, 15), writes="d"),
-        _e("ADR T1", "10100dddiiiiiiii", writes="d"),
-        _e("ADD SP T1", "10101dddiiiiiiii", writes="d"),
-        _e("SXTH", "1011001000mmmddd", writes="d"),
-        _e("SXTB", "1011001001mmmddd", writes="d"),
-        _e("UXTH", "1011001010mmmddd", writes="d"),
-        _e("UXTB", "1011001011mmmddd", writes="d"),
-        _e("REV", "1011101000mmmddd", writes="d"),
-        _e("REV16", "1011101001mmmddd", writes="d"),
-        _e("REVSH", "1011101011mmmddd", writes="d"),
+        _encoding(
+            "CMP hi", "01000101nmmmmnnn", lambda f: f["n"] < 15 and f["m"] < 15 and max(f["n"], f["m"]) > 7
+        ),
+        _encoding("MOV hi", "01000110dmmmmddd", lambda f: f["d"] not in (13, 15), writes="d"),
+        _encoding("ADR T1", "10100dddiiiiiiii", writes="d"),
+        _encoding("ADD SP T1", "10101dddiiiiiiii", writes="d"),
+        _encoding("SXTH", "1011001000mmmddd", writes="d"),
+        _encoding("SXTB", "1011001001mmmddd", writes="d"),
+        _encoding("UXTH", "1011001010mmmddd", writes="d"),
+        _encoding("UXTB", "1011001011mmmddd", writes="d"),
+        _encoding("REV", "1011101000mmmddd", writes="d"),
+        _encoding("REV16", "1011101001mmmddd", writes="d"),
+        _encoding("REVSH", "1011101011mmmddd", writes="d"),
     ]
     names = [
         "AND",
@@ -253,7 +290,7 @@ def _narrow() -> list[Encoding]:
     ]
     for op, name in enumerate(names):
         writes = "" if name in ("TST", "CMP", "CMN") else "d"
-        table.append(_e(f"{name} T1", f"010000{op:04b}mmmddd", writes=writes))
+        table.append(_encoding(f"{name} T1", f"010000{op:04b}mmmddd", writes=writes))
     return table
 
 
@@ -270,7 +307,7 @@ def _memory() -> list[Encoding]:
         ("LDRSH", "111", 1),
     ):
         table.append(
-            _e(f"{name} reg T1", f"0101{op}xxxbbbttt", base="b", index="x", writes="t" if load else "")
+            _encoding(f"{name} reg T1", f"0101{op}xxxbbbttt", base="b", index="x", writes="t" if load else "")
         )
     for name, op, load in (
         ("STR", "01100", 0),
@@ -280,74 +317,74 @@ def _memory() -> list[Encoding]:
         ("STRH", "10000", 0),
         ("LDRH", "10001", 1),
     ):
-        table.append(_e(f"{name} imm T1", f"{op}iiiiibbbttt", base="b", writes="t" if load else ""))
+        table.append(_encoding(f"{name} imm T1", f"{op}iiiiibbbttt", base="b", writes="t" if load else ""))
     table += [
-        _e("STR SP", "10010tttiiiiiiii"),
-        _e("LDR SP", "10011tttiiiiiiii", writes="t"),
-        _e("LDR lit T1", "01001tttiiiiiiii", writes="t"),
-        _e("STM T1", "11000bbbllllllll", lambda f: f["l"] != 0 and not f["l"] >> f["b"] & 1, base="b"),
-        _e(
+        _encoding("STR SP", "10010tttiiiiiiii"),
+        _encoding("LDR SP", "10011tttiiiiiiii", writes="t"),
+        _encoding("LDR lit T1", "01001tttiiiiiiii", writes="t"),
+        _encoding("STM T1", "11000bbbllllllll", lambda f: f["l"] != 0 and not f["l"] >> f["b"] & 1, base="b"),
+        _encoding(
             "LDM T1",
             "11001bbbllllllll",
             lambda f: f["l"] != 0 and not f["l"] >> f["b"] & 1,
             base="b",
             register_list="l",
         ),
-        _e(
+        _encoding(
             "LDM.W IA",
             "1110100010w1bbbb 00llllllllllllll",
             lambda f: f["l"].bit_count() > 1 and not f["l"] >> f["b"] & 1 and f["l"] < 0x2000,
             base="b",
             register_list="l",
         ),
-        _e(
+        _encoding(
             "LDM.W DB",
             "1110100100w1bbbb 00llllllllllllll",
             lambda f: f["l"].bit_count() > 1 and not f["l"] >> f["b"] & 1 and f["l"] < 0x2000,
             base="b",
             register_list="l",
         ),
-        _e(
+        _encoding(
             "STM.W IA",
             "1110100010w0bbbb 0l0lllllllllllll",
             lambda f: f["l"].bit_count() > 1 and not (f["l"] & 0x1FFF) >> f["b"] & 1,
             base="b",
         ),
-        _e(
+        _encoding(
             "STM.W DB",
             "1110100100w0bbbb 0l0lllllllllllll",
             lambda f: f["l"].bit_count() > 1 and not (f["l"] & 0x1FFF) >> f["b"] & 1,
             base="b",
         ),
-        _e(
+        _encoding(
             "LDRD imm",
             "11101001u1w1bbbb ttttyyyyiiiiiiii",
-            lambda f: _no("t", "y")(f) and f["t"] != f["y"] and f["b"] not in (f["t"], f["y"], 15),
+            lambda f: _not_sp_or_pc("t", "y")(f) and f["t"] != f["y"] and f["b"] not in (f["t"], f["y"], 15),
             base="b",
             writes="ty",
         ),
-        _e(
+        _encoding(
             "LDRD post",
             "11101000u111bbbb ttttyyyyiiiiiiii",
-            lambda f: _no("t", "y")(f) and f["t"] != f["y"] and f["b"] not in (f["t"], f["y"], 15),
+            lambda f: _not_sp_or_pc("t", "y")(f) and f["t"] != f["y"] and f["b"] not in (f["t"], f["y"], 15),
             base="b",
             writes="ty",
         ),
-        _e(
+        _encoding(
             "STRD imm",
             "11101001u1w0bbbb ttttyyyyiiiiiiii",
-            lambda f: _no("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15),
+            lambda f: _not_sp_or_pc("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15),
             base="b",
         ),
-        _e(
+        _encoding(
             "STRD post",
             "11101000u110bbbb ttttyyyyiiiiiiii",
-            lambda f: _no("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15),
+            lambda f: _not_sp_or_pc("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15),
             base="b",
         ),
-        _e("LDR.W lit", "11111000u1011111 ttttiiiiiiiiiiii", _no("t"), writes="t"),
-        _e("LDRB lit", "11111000u0011111 ttttiiiiiiiiiiii", _no("t"), writes="t"),
-        _e("LDRSH lit", "11111001u0111111 ttttiiiiiiiiiiii", _no("t"), writes="t"),
+        _encoding("LDR.W lit", "11111000u1011111 ttttiiiiiiiiiiii", _not_sp_or_pc("t"), writes="t"),
+        _encoding("LDRB lit", "11111000u0011111 ttttiiiiiiiiiiii", _not_sp_or_pc("t"), writes="t"),
+        _encoding("LDRSH lit", "11111001u0111111 ttttiiiiiiiiiiii", _not_sp_or_pc("t"), writes="t"),
     ]
     for name, sign, size, load in (
         ("STRB", 0, "00", 0),
@@ -362,46 +399,46 @@ def _memory() -> list[Encoding]:
         head = f"1111100{sign}"
         writes = "t" if load else ""
         table += [
-            _e(
+            _encoding(
                 f"{name}.W imm12",
                 f"{head}1{size}{load}bbbb ttttiiiiiiiiiiii",
-                _no("t", "b"),
+                _not_sp_or_pc("t", "b"),
                 base="b",
                 writes=writes,
             ),
-            _e(
+            _encoding(
                 f"{name}.W neg",
                 f"{head}0{size}{load}bbbb tttt1100iiiiiiii",
-                _no("t", "b"),
+                _not_sp_or_pc("t", "b"),
                 base="b",
                 writes=writes,
             ),
-            _e(
+            _encoding(
                 f"{name}.W pre",
                 f"{head}0{size}{load}bbbb tttt11u1iiiiiiii",
-                lambda f: _no("t", "b")(f) and f["t"] != f["b"] and f["i"] % 4 == 0,
+                lambda f: _not_sp_or_pc("t", "b")(f) and f["t"] != f["b"] and f["i"] % 4 == 0,
                 base="b",
                 writes=writes,
             ),
-            _e(
+            _encoding(
                 f"{name}.W post",
                 f"{head}0{size}{load}bbbb tttt10u1iiiiiiii",
-                lambda f: _no("t", "b")(f) and f["t"] != f["b"] and f["i"] % 4 == 0,
+                lambda f: _not_sp_or_pc("t", "b")(f) and f["t"] != f["b"] and f["i"] % 4 == 0,
                 base="b",
                 writes=writes,
             ),
-            _e(
+            _encoding(
                 f"{name}.W reg",
                 f"{head}0{size}{load}bbbb tttt000000iixxxx",
-                _no("t", "b", "x"),
+                _not_sp_or_pc("t", "b", "x"),
                 base="b",
                 index="x",
                 writes=writes,
             ),
-            _e(
+            _encoding(
                 f"{name}T",
                 f"{head}0{size}{load}bbbb tttt1110iiiiiiii",
-                _no("t", "b"),
+                _not_sp_or_pc("t", "b"),
                 base="b",
                 writes=writes,
             ),
@@ -411,11 +448,13 @@ def _memory() -> list[Encoding]:
 
 def _branches() -> list[Encoding]:
     return [
-        _e("B cond", "1101cccciiiiiiii", lambda f: f["c"] < 14, fixed={"i": 0}, in_it=False, filler=True),
-        _e("B", "11100iiiiiiiiiii", fixed={"i": 0}, in_it=False, filler=True),
-        _e("CBZ", "101100i1iiiiinnn", fixed={"i": 0}, in_it=False, filler=True),
-        _e("CBNZ", "101110i1iiiiinnn", fixed={"i": 0}, in_it=False, filler=True),
-        _e(
+        _encoding(
+            "B cond", "1101cccciiiiiiii", lambda f: f["c"] < 14, fixed={"i": 0}, in_it=False, filler=True
+        ),
+        _encoding("B", "11100iiiiiiiiiii", fixed={"i": 0}, in_it=False, filler=True),
+        _encoding("CBZ", "101100i1iiiiinnn", fixed={"i": 0}, in_it=False, filler=True),
+        _encoding("CBNZ", "101110i1iiiiinnn", fixed={"i": 0}, in_it=False, filler=True),
+        _encoding(
             "B.W cond",
             "111100cccciiiiii 10000iiiiiiiiiii",
             lambda f: f["c"] < 14,
@@ -423,13 +462,13 @@ def _branches() -> list[Encoding]:
             in_it=False,
             filler=True,
         ),
-        _e("BL", "11110iiiiiiiiiii 11111iiiiiiiiiii", fixed={"i": 1}, in_it=False, filler=True),
-        _e("MRS APSR", "1111001111101111 1000dddd00000000", _no("d"), writes="d"),
-        _e("MSR APSR", "111100111000nnnn 1000100000000000", _no("n")),
-        _e("NOP", "1011111100000000"),
-        _e("NOP.W", "1111001110101111 1000000000000000"),
-        _e("DSB", "1111001110111111 1000111101001111"),
-        _e("PLD", "111110001001bbbb 1111iiiiiiiiiiii", _no("b"), base="b"),
+        _encoding("BL", "11110iiiiiiiiiii 11111iiiiiiiiiii", fixed={"i": 1}, in_it=False, filler=True),
+        _encoding("MRS APSR", "1111001111101111 1000dddd00000000", _not_sp_or_pc("d"), writes="d"),
+        _encoding("MSR APSR", "111100111000nnnn 1000100000000000", _not_sp_or_pc("n")),
+        _encoding("NOP", "1011111100000000"),
+        _encoding("NOP.W", "1111001110101111 1000000000000000"),
+        _encoding("DSB", "1111001110111111 1000111101001111"),
+        _encoding("PLD", "111110001001bbbb 1111iiiiiiiiiiii", _not_sp_or_pc("b"), base="b"),
     ]
 
 

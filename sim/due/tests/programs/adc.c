@@ -22,19 +22,19 @@ static uint32_t analog_read(uint32_t channel) {
 int main(void) {
   start_clock();
   PMC_PCER1 = 1u << (kAdc - 32) | 1u << (kDacc - 32);
-  ADC_CR = 1u;
-  ADC_MR = 1u << 8 | 8u << 16 | 1u << 20 | 1u << 28;
-  DACC_MR = 1u << 8 | 1u << 24;
+  ADC_CR = 1u;                                        // SWRST
+  ADC_MR = 1u << 8 | 8u << 16 | 1u << 20 | 1u << 28;  // PRESCAL, STARTUP, SETTLING, TRANSFER
+  DACC_MR = 1u << 8 | 1u << 24;                       // REFRESH, STARTUP
   DACC_CHER = 1u;
   for (uint32_t i = 0;; ++i) {
     polled = analog_read(7);
     DACC_CDR = polled;
-    wait_for(&DACC_ISR, 2u);
+    wait_for(&DACC_ISR, 2u);  // EOC
     const uint32_t before = interrupts;
     ADC_CHER = 1u << 6;
     ADC_IER = 1u << 6;
     NVIC_ISER1 = 1u << (kAdc - 32);
-    ADC_CR = 2u;
+    ADC_CR = 2u;  // START
     while (interrupts == before) {
     }
     ADC_IDR = 1u << 6;

@@ -48,17 +48,17 @@ __attribute__((noinline)) uint32_t work(uint32_t count) {
 void systick_handler(void) { ticks = ticks + 1; }
 
 int main(void) {
-  REG(0x400E1A54) = 1u << 15;
+  REG(0x400E1A54) = 1u << 15;  // WDT_MR: WDDIS
   full_speed();
-  REG(kPmc + 0x10) = 1u << 8;
-  REG(kPioA + 4) = 0x300u;
-  REG(kUart + 4) = 4u << 9;
-  REG(kUart + 0x20) = 21u;
-  REG(kUart) = 0x50u;
+  REG(kPmc + 0x10) = 1u << 8;  // PCER0: UART
+  REG(kPioA + 4) = 0x300u;     // PDR: the UART's pins
+  REG(kUart + 4) = 4u << 9;    // MR: no parity
+  REG(kUart + 0x20) = 21u;     // BRGR: 250 kbaud
+  REG(kUart) = 0x50u;          // CR: RXEN, TXEN
   say("hello\n");
-  REG(0xE000E014) = 84000u - 1u;
-  REG(0xE000E018) = 0u;
-  REG(0xE000E010) = 7u;
+  REG(0xE000E014) = 84000u - 1u;  // SYST_RVR: each millisecond
+  REG(0xE000E018) = 0u;           // SYST_CVR
+  REG(0xE000E010) = 7u;           // SYST_CSR: ENABLE, TICKINT, CLKSOURCE
   for (;;) {
     __asm volatile("wfi");
     work(20);
