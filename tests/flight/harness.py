@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 from heli_host import declaration as d
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
 from heli_test_native import flight
 
+ELEVATION, PITCH, TRAVEL = d.Axis
 REST_DEG = -25.0
 DUTY_FULL = 2100
 """Full duty of the Due, in counts."""
 PAGE_BYTES = 512
 TRACKING = ("_following_max_deg", "_motion_V", "_motion_deg")
 """Ends of the names of the parameters that decide whether an axis does what it is driven to do."""
+
+
+class Motors(NamedTuple):
+    """Duties of both motors and state of their drivers."""
+
+    front_duty: int
+    back_duty: int
+    are_enabled: bool
 
 
 class Harness:
@@ -40,7 +49,7 @@ class Harness:
         self.angles_deg = [REST_DEG, 0.0, 0.0]
         self.core.tick(300)
         if session:
-            self.ask(d.HelloMessage(0, d.LINK_HASH, 7))
+            self.ask(d.HelloMessage(request=0, link_hash=d.LINK_HASH, session=7))
         if session and not tracked:
             for spec in d.PARAMS:
                 if spec.name.endswith(TRACKING):
@@ -115,7 +124,7 @@ class Harness:
         return self.ask(d.ArmMessage(0))
 
     def close_loops(self, axes: int = 7) -> Any:
-        return self.ask(d.ControlMessage(0, axes, 0.0, 0.0))
+        return self.ask(d.ControlMessage(request=0, axes=axes, front_V=0.0, back_V=0.0))
 
     def fly(self) -> None:
         assert self.arm().result == d.Result.OK
@@ -145,9 +154,8 @@ class Harness:
         return d.State(self.core.state)
 
     @property
-    def motors(self) -> tuple[int, int, bool]:
-        front, back, enabled = self.core.motors()
-        return front, back, enabled
+    def motors(self) -> Motors:
+        return Motors(*self.core.motors())
 
     @property
     def motors_off(self) -> bool:

@@ -90,7 +90,9 @@ def line_under_load(notes: Notes, _laws: Any) -> None:
     chance = notes.chance
     harness = core_link.Harness(2100, 512)
     tick, sent, tapes = 0, bytearray(), bytearray()
-    harness.receive(encode_frame(d.MessageId.HELLO, 0, d.HelloMessage(1, d.LINK_HASH, 7).pack()))
+    harness.receive(
+        encode_frame(d.MessageId.HELLO, 0, d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=7).pack())
+    )
     harness.poll()
     harness.sent()
     row = [0] * len(d.Channel)
@@ -128,9 +130,9 @@ def line_under_load(notes: Notes, _laws: Any) -> None:
         for _ in range(chance.choice((0, 0, 0, 1, 6))):
             stream: Any = chance.choice(
                 (
-                    d.SetpointMessage(k, 0.1, 0.2, 0.3),
-                    d.VoltagesMessage(1.0, 2.0, k),
-                    d.FollowingMessage(0.1, 0.2, k),
+                    d.SetpointMessage(apply_tick=k, elevation_rad=0.1, pitch_rad=0.2, travel_rad=0.3),
+                    d.VoltagesMessage(front_V=1.0, back_V=2.0, valid_ms=k),
+                    d.FollowingMessage(elevation_rad=0.1, pitch_rad=0.2, travel_rad=k),
                 )
             )
             harness.receive(encode_frame(stream.ID, k & 0xFF, stream.pack()))
@@ -433,10 +435,10 @@ def any_commands(board: Board, _laws: Laws) -> None:
             board.raw(bytes(frame) + (b"\0" if accident < 0.95 else b""))
         for _ in range(board.chance.choice((0, 0, 1, 5, 20))):
             board.point(
-                8.0 * board.chance.random(),
-                0.0,
-                20.0 * board.chance.random(),
-                board.chance.randrange(-40, 40),
+                elevation_deg=8.0 * board.chance.random(),
+                pitch_deg=0.0,
+                travel_deg=20.0 * board.chance.random(),
+                ahead_ms=board.chance.randrange(-40, 40),
             )
             board.run(board.chance.choice((1, 10, 20, 30)))
     board.ask(d.StatusReadMessage)
@@ -571,13 +573,17 @@ def streams(board: Board, _laws: Laws) -> None:
     board.ask(d.StreamMessage)
     for k in range(150):
         board.send(
-            d.VoltagesMessage(1.7 + 0.2 * board.chance.random(), 1.65, board.chance.choice((5, 30, 500)))
+            d.VoltagesMessage(
+                front_V=1.7 + 0.2 * board.chance.random(),
+                back_V=1.65,
+                valid_ms=board.chance.choice((5, 30, 500)),
+            )
         )
         if k % 3 == 0:
-            board.send(d.FollowingMessage(0.1, 0.01 * k, -0.2))
+            board.send(d.FollowingMessage(elevation_rad=0.1, pitch_rad=0.01 * k, travel_rad=-0.2))
         if k % 40 == 39:
-            board.send(d.VoltagesMessage(11.0, 1.0, 20))
-            board.point(1.0, 1.0, 1.0)
+            board.send(d.VoltagesMessage(front_V=11.0, back_V=1.0, valid_ms=20))
+            board.point(elevation_deg=1.0, pitch_deg=1.0, travel_deg=1.0)
         board.run(board.chance.choice((3, 10, 20)))
     board.ask(d.ExciteMessage, 2, 0.3, -0.3, 0.0, 0.0, 0.4, 0)
     board.run(700)

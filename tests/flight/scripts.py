@@ -118,7 +118,7 @@ class Board(Notes):
         self._crc = 0
         self.core.encoders([0, 0, 0], self.illegal)
         self.core.tick(20)
-        self.send(d.HelloMessage(1, d.LINK_HASH, 7))
+        self.send(d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=7))
         self.core.tick(5)
         # The welcome contains versions, which change with each release: of what is sent here, events count.
         for frame in self.parser.feed(self.core.sent()):

@@ -10,12 +10,9 @@ from heli_host import declaration as d
 from heli_host.declaration import Event, Fault, ParamsSource, Result, State, Trigger
 from heli_test_native import link
 
-from tests.flight.harness import DUTY_FULL, PAGE_BYTES, REST_DEG, Harness
+from tests.flight.harness import DUTY_FULL, ELEVATION, PAGE_BYTES, PITCH, REST_DEG, TRAVEL, Harness
 from tests.flight.test_tracking import (
     COUNT_DEG,
-    ELEVATION,
-    PITCH,
-    TRAVEL,
     board_in_level_flight,
     hover,
     tripped,
@@ -44,7 +41,7 @@ def drive(
     places_deg = iter(pitches_deg)
     for k in range(ticks):
         if k % 20 == 0:
-            harness.send(d.VoltagesMessage(front_V, back_V, 50))
+            harness.send(d.VoltagesMessage(front_V=front_V, back_V=back_V, valid_ms=50))
         harness.move(pitch_deg=next(places_deg, harness.angles_deg[PITCH]))
         harness.tick()
 
@@ -72,16 +69,16 @@ def test_an_arm_on_the_table_need_not_turn_when_it_is_tilted() -> None:
 
 def test_a_pitch_that_does_not_count_is_noticed_on_the_table_too() -> None:
     harness = streamed()
-    drive(harness, 1500, DEAD_V + 1.0, 0.0)
+    drive(harness, 1500, front_V=DEAD_V + 1.0, back_V=0.0)
     assert tripped(harness) == (Fault.PITCH_MOTIONLESS, Trigger.TRIP)
 
 
 def test_a_motor_that_is_driven_backwards_has_a_dead_zone_too() -> None:
     """A pitch must move by what its dead zone leaves of a voltage, and by no more."""
     harness = streamed(motor_min_V=-12.0)
-    drive(harness, 1500, 0.0, -(DEAD_V + 0.5 * MOTION_V))
+    drive(harness, 1500, front_V=0.0, back_V=-(DEAD_V + 0.5 * MOTION_V))
     assert harness.state is State.STREAMED
-    drive(harness, 1500, 0.0, -(DEAD_V + 2.0 * MOTION_V))
+    drive(harness, 1500, front_V=0.0, back_V=-(DEAD_V + 2.0 * MOTION_V))
     assert tripped(harness) == (Fault.PITCH_MOTIONLESS, Trigger.TRIP)
 
 
@@ -89,12 +86,12 @@ def test_what_a_bench_drove_already_is_no_change_of_drive() -> None:
     harness = Harness(tracked=True)
     harness.set("elevation_motion_V", 10.0)
     harness.arm()
-    harness.ask(d.ControlMessage(0, 0, DEAD_V + 1.0, 0.0))
+    harness.ask(d.ControlMessage(request=0, axes=0, front_V=DEAD_V + 1.0, back_V=0.0))
     for _ in range(10):
         harness.ping()
         harness.tick(100)
     harness.ask(d.StreamMessage(0))
-    drive(harness, 1500, DEAD_V + 1.0, 0.0)
+    drive(harness, 1500, front_V=DEAD_V + 1.0, back_V=0.0)
     assert harness.state is State.STREAMED
 
 
@@ -103,7 +100,7 @@ def test_the_drive_of_the_single_tick_in_which_a_swing_turns_round_is_none_to_co
     harness = streamed(lift_V, lift_V)
     swing_deg = [2 * COUNT_DEG * (k // 2 % 2) for k in range(600)]
     drive(harness, 600, lift_V, lift_V, swing_deg)
-    harness.send(d.VoltagesMessage(lift_V + 0.5, lift_V - 0.5, 50))
+    harness.send(d.VoltagesMessage(front_V=lift_V + 0.5, back_V=lift_V - 0.5, valid_ms=50))
     for deg in (8.0, 4.0, 8.0):
         harness.move(pitch_deg=deg * COUNT_DEG)
         harness.tick()
@@ -127,7 +124,7 @@ def test_a_landing_has_its_own_time_and_no_following_error_of_the_elevation() ->
 def test_how_far_travel_must_have_turned_is_given_in_degrees() -> None:
     harness = board_in_level_flight()
     hover(harness, 1000)
-    harness.glide(PITCH, 12.0, 60.0)
+    harness.glide(PITCH, to_deg=12.0, deg_s=60.0)
     hover(harness, 1300, still=(TRAVEL,))
     # 8 degrees of tilt for 1 s, at half a degree of acceleration per degree of tilt.
     assert harness.last_event(Event.FAULT).value == pytest.approx(2.0, abs=0.1)
@@ -147,9 +144,9 @@ def test_lift_that_barely_carries_the_arm_need_not_raise_it() -> None:
 @pytest.mark.parametrize("count", [-1, 1])
 def test_a_single_count_either_way_does_not_give_a_still_axis_more_time(count: int) -> None:
     harness = streamed()
-    drive(harness, 340, DEAD_V + 1.0, 0.0)
+    drive(harness, 340, front_V=DEAD_V + 1.0, back_V=0.0)
     assert harness.state is State.STREAMED
-    drive(harness, 260, DEAD_V + 1.0, 0.0, [count * COUNT_DEG])
+    drive(harness, 260, front_V=DEAD_V + 1.0, back_V=0.0, pitches_deg=[count * COUNT_DEG])
     assert harness.motors_off
 
 
@@ -166,7 +163,7 @@ def driven(duty_full: int, front_V: float = FRONT_V, back_V: float = BACK_V) -> 
     harness.arm()
     harness.ask(d.StreamMessage(0))
     for _ in range(200):
-        harness.send(d.VoltagesMessage(front_V, back_V, 50))
+        harness.send(d.VoltagesMessage(front_V=front_V, back_V=back_V, valid_ms=50))
         harness.tick(10)
     return harness
 

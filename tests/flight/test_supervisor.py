@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from typing import Any
@@ -14,7 +15,7 @@ from heli_host.link.channels import physical
 from heli_test_native import flight
 from heli_test_native.flight import ToldLaw, fault_before_arming
 
-from tests.flight.harness import REST_DEG, Harness
+from tests.flight.harness import DUTY_FULL, ELEVATION, PITCH, REST_DEG, TRAVEL, Harness
 
 # The table as docs and README promise it, written a second time: (from, trigger) -> to.
 PROMISED = {
@@ -92,14 +93,14 @@ def refused_with(harness: Harness, fault: Fault) -> None:
     [
         (0, REST_DEG + 4, 1.0, 500, Fault.NOT_AT_REST),
         (0, REST_DEG - 4, 1.0, 500, Fault.NOT_AT_REST),
-        (1, 12, 20.0, 400, Fault.PITCH_NOT_LEVEL),
+        (PITCH, 12, 20.0, 400, Fault.PITCH_NOT_LEVEL),
         (2, 20, 30.0, 0, Fault.MOVING),
     ],
 )
 def test_arming_is_refused_away_from_rest_tilted_or_while_moving(
     harness: Harness, axis: int, angle_deg: float, rate_deg_s: float, wait_ticks: int, fault: Fault
 ) -> None:
-    harness.glide(axis, angle_deg, rate_deg_s)
+    harness.glide(axis, to_deg=angle_deg, deg_s=rate_deg_s)
     harness.tick(wait_ticks)
     harness.ping()
     refused_with(harness, fault)
@@ -123,14 +124,14 @@ def test_arming_is_refused_in_flight(flying: Harness) -> None:
 @pytest.mark.parametrize(
     "axis, angle_deg, rate_deg_s, fault, value",
     [
-        (0, 25, 60, Fault.ELEVATION_LIMIT, 25),
-        (1, 46, 200, Fault.PITCH_LIMIT, 46),
-        (1, -46, 200, Fault.PITCH_LIMIT, -46),
-        (2, 176, 100, Fault.TRAVEL_LIMIT, 176),
-        (2, -176, 100, Fault.TRAVEL_LIMIT, -176),
-        (0, 0, 140, Fault.ELEVATION_RATE, 120),
-        (1, 40, 440, Fault.PITCH_RATE, 400),
-        (2, 90, 180, Fault.TRAVEL_RATE, 150),
+        (ELEVATION, 25, 60, Fault.ELEVATION_LIMIT, 25),
+        (PITCH, 46, 200, Fault.PITCH_LIMIT, 46),
+        (PITCH, -46, 200, Fault.PITCH_LIMIT, -46),
+        (TRAVEL, 176, 100, Fault.TRAVEL_LIMIT, 176),
+        (TRAVEL, -176, 100, Fault.TRAVEL_LIMIT, -176),
+        (ELEVATION, 0, 140, Fault.ELEVATION_RATE, 120),
+        (PITCH, 40, 440, Fault.PITCH_RATE, 400),
+        (TRAVEL, 90, 180, Fault.TRAVEL_RATE, 150),
     ],
 )
 def test_each_limit_ends_the_flight_and_names_itself_and_the_value(
@@ -139,10 +140,10 @@ def test_each_limit_ends_the_flight_and_names_itself_and_the_value(
     harness.set("setpoint_hold_s", 5)
     harness.set("setpoint_land_s", 30)
     harness.fly()
-    harness.glide(axis, angle_deg, rate_deg_s)
+    harness.glide(axis, to_deg=angle_deg, deg_s=rate_deg_s)
     harness.tick(30)
-    assert harness.state is (State.EMERGENCY_LANDING if axis == 0 else State.FAULT)
-    assert harness.motors_off == (axis != 0)
+    assert harness.state is (State.EMERGENCY_LANDING if axis == ELEVATION else State.FAULT)
+    assert harness.motors_off == (axis != ELEVATION)
     event = harness.last_event(Event.FAULT)
     assert event.detail == fault
     assert event.value == pytest.approx(value, abs=2)
@@ -218,7 +219,7 @@ def test_a_fault_stays_until_it_is_cleared_and_not_while_its_cause_is_pressed(fl
 def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then_cuts(
     flying: Harness,
 ) -> None:
-    flying.glide(0, 0, 20)
+    flying.glide(ELEVATION, to_deg=0, deg_s=20)
     flying.keep_flying(2000)
     # The last setpoint was taken 20 ticks before keep_flying ended.
     flying.tick(470)
@@ -230,7 +231,7 @@ def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then
     assert flying.state is State.HOLD
     flying.tick(40)
     assert flying.state is State.LANDING
-    flying.glide(0, REST_DEG, 10)
+    flying.glide(ELEVATION, to_deg=REST_DEG, deg_s=10)
     flying.tick(250)
     assert flying.state is State.LANDING
     flying.tick(400)
@@ -279,7 +280,7 @@ def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing(flying: Harn
     assert flying.state is State.HOLD
     flying.keep_flying(40, elevation_deg=REST_DEG)
     assert flying.state is State.CLOSED_LOOP
-    flying.glide(0, -10, 20)
+    flying.glide(ELEVATION, to_deg=-10, deg_s=20)
     flying.tick(2100)
     assert flying.state is State.LANDING
     flying.keep_flying(40)
@@ -291,20 +292,20 @@ def test_an_arm_that_rests_elsewhere_than_before_take_off_has_not_landed(
     flying: Harness, rest_deg: float
 ) -> None:
     """Its encoder has lost counts, or it floats without voltage."""
-    flying.glide(0, 0, 60)
+    flying.glide(ELEVATION, to_deg=0, deg_s=60)
     flying.ask(d.LandMessage(0))
-    flying.glide(0, rest_deg, 10)
+    flying.glide(ELEVATION, to_deg=rest_deg, deg_s=10)
     flying.tick(1500)
     assert flying.state is State.FAULT
     assert flying.last_event(Event.FAULT).detail == Fault.ELEVATION_REST
 
 
 def test_an_elevation_below_the_table_is_landed_without_its_encoder(flying: Harness) -> None:
-    flying.glide(0, -5, 60)
+    flying.glide(ELEVATION, to_deg=-5, deg_s=60)
     flying.keep_flying(600, elevation_deg=-5.0)
-    flying.glide(0, REST_DEG - 2.9, 60)
+    flying.glide(ELEVATION, to_deg=REST_DEG - 2.9, deg_s=60)
     assert flying.state is State.CLOSED_LOOP
-    flying.glide(0, REST_DEG - 3.2, 60)
+    flying.glide(ELEVATION, to_deg=REST_DEG - 3.2, deg_s=60)
     assert flying.last_event(Event.FAULT).detail == Fault.ELEVATION_BELOW_TABLE
     assert flying.state is State.EMERGENCY_LANDING
     flying.tick(18_100)
@@ -313,9 +314,9 @@ def test_an_elevation_below_the_table_is_landed_without_its_encoder(flying: Harn
 
 def test_on_a_bench_a_person_may_move_the_arm_anywhere(harness: Harness) -> None:
     harness.arm()
-    harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+    harness.ask(d.ControlMessage(request=0, axes=0, front_V=1.5, back_V=1.5))
     for k in range(50):
-        harness.glide(0, REST_DEG - 0.1 * k, 20)
+        harness.glide(ELEVATION, to_deg=REST_DEG - 0.1 * k, deg_s=20)
         harness.ping()
     assert harness.state is State.OPEN_LOOP
 
@@ -325,24 +326,26 @@ def test_an_elevation_that_decreases_at_take_off_has_the_wrong_sign(
     harness: Harness, armed_deg: float
 ) -> None:
     """The voltage stays at that of a hover meanwhile. Then the motors are cut: the arm is on the table."""
-    harness.glide(0, armed_deg, 1.0)
+    harness.glide(ELEVATION, to_deg=armed_deg, deg_s=1.0)
     harness.tick(300)
     harness.ping()
     harness.fly()
     harness.keep_flying(250, elevation_deg=0.0)
-    lifted_duty = harness.motors[0]
-    hover_duty = round((0.5 * 1.4 + 1.0) / 12.0 * 2100)
+    duty_at_take_off = harness.motors.front_duty
+    # Half of hover_V and the dead zone, of 12 V.
+    hover_duty = round((0.5 * 1.4 + 1.0) / 12.0 * DUTY_FULL)
     most_duty = 0
     for _ in range(200):
         if harness.motors_off:
             break
-        harness.glide(0, harness.angles_deg[0] - 360 / 4096, 30.0)
-        most_duty = max(most_duty, harness.motors[0])
-    assert lifted_duty > hover_duty
+        # The arm, which should rise, is read to sink count by count.
+        harness.glide(ELEVATION, to_deg=harness.angles_deg[ELEVATION] - 360 / 4096, deg_s=30.0)
+        most_duty = max(most_duty, harness.motors.front_duty)
+    assert duty_at_take_off > hover_duty
     assert most_duty <= hover_duty + 1
     assert harness.last_event(Event.FAULT).detail == Fault.ELEVATION_SIGN
     assert harness.state is State.FAULT
-    assert harness.angles_deg[0] > REST_DEG - 0.5
+    assert harness.angles_deg[ELEVATION] > REST_DEG - 0.5
 
 
 STEPS = (Fault.ELEVATION_STEP, Fault.PITCH_STEP, Fault.TRAVEL_STEP)
@@ -353,7 +356,7 @@ STEP_MAX_COUNTS = (7, 21, 9)
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_step_that_no_arm_makes_is_landed_without_its_axis(flying: Harness, axis: int, sign: int) -> None:
-    flying.glide(0, -5, 60)
+    flying.glide(ELEVATION, to_deg=-5, deg_s=60)
     flying.keep_flying(600, elevation_deg=-5.0)
     count_deg = 360 / 4096
     allowed = STEP_MAX_COUNTS[axis]
@@ -374,19 +377,19 @@ def test_after_a_step_nothing_is_armed_until_the_axis_is_zeroed(harness: Harness
     harness.tick(500)
     harness.ping()
     refused_with(harness, STEPS[axis])
-    assert harness.ask(d.ZeroMessage(0, 7 & ~(1 << axis))).result == Result.OK
+    assert harness.ask(d.ZeroMessage(request=0, axes=7 & ~(1 << axis))).result == Result.OK
     refused_with(harness, STEPS[axis])
-    assert harness.ask(d.ZeroMessage(0, 1 << axis)).result == Result.OK
+    assert harness.ask(d.ZeroMessage(request=0, axes=1 << axis)).result == Result.OK
     harness.tick(500)
     harness.ping()
     assert harness.arm().result == Result.OK
 
 
 def test_a_new_sign_a_new_rest_and_a_new_zero_are_no_steps(harness: Harness) -> None:
-    harness.glide(2, 60, 100.0)
+    harness.glide(TRAVEL, to_deg=60, deg_s=100.0)
     harness.set("travel_counts_per_rev", -4096)
     harness.set("elevation_rest_deg", -20)
-    harness.ask(d.ZeroMessage(0, 7))
+    harness.ask(d.ZeroMessage(request=0, axes=7))
     harness.tick(500)
     harness.ping()
     assert harness.arm().result == Result.OK
@@ -395,7 +398,7 @@ def test_a_new_sign_a_new_rest_and_a_new_zero_are_no_steps(harness: Harness) -> 
 def test_a_second_lost_axis_is_left_out_of_the_same_landing_and_the_first_fault_is_its_reason(
     flying: Harness,
 ) -> None:
-    flying.glide(0, -5, 60)
+    flying.glide(ELEVATION, to_deg=-5, deg_s=60)
     flying.keep_flying(600, elevation_deg=-5.0)
     flying.move(travel_deg=3.0)
     flying.tick(4)
@@ -417,7 +420,7 @@ def test_stop_works_from_every_state_that_has_motors() -> None:
 
     def open_loop(harness: Harness) -> None:
         harness.arm()
-        harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+        harness.ask(d.ControlMessage(request=0, axes=0, front_V=1.5, back_V=1.5))
 
     def hold(harness: Harness) -> None:
         harness.fly()
@@ -425,7 +428,7 @@ def test_stop_works_from_every_state_that_has_motors() -> None:
 
     def landing(harness: Harness) -> None:
         harness.fly()
-        harness.glide(0, 0, 60)
+        harness.glide(ELEVATION, to_deg=0, deg_s=60)
         harness.ask(d.LandMessage(0))
 
     reached = set()
@@ -442,10 +445,10 @@ def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself(
     harness.arm()
     harness.ask(d.StreamMessage(0))
     for _ in range(100):
-        harness.send(d.VoltagesMessage(2.0, 1.5, 50))
+        harness.send(d.VoltagesMessage(front_V=2.0, back_V=1.5, valid_ms=50))
         harness.tick(10)
     assert harness.motors[:2] == (350, 263)  # 2100 / 12 V
-    harness.send(d.VoltagesMessage(2.0, 1.5, 50))
+    harness.send(d.VoltagesMessage(front_V=2.0, back_V=1.5, valid_ms=50))
     harness.tick(48)
     assert harness.state is State.STREAMED
     harness.tick(5)
@@ -458,7 +461,7 @@ def test_a_streamed_voltage_acts_for_its_time_or_the_longest_allowed(
 ) -> None:
     harness.arm()
     harness.ask(d.StreamMessage(0))
-    harness.send(d.VoltagesMessage(1.0, 1.0, named_ms))
+    harness.send(d.VoltagesMessage(front_V=1.0, back_V=1.0, valid_ms=named_ms))
     harness.tick(valid_ms - 1)
     assert harness.state is State.STREAMED
     harness.tick(4)
@@ -467,7 +470,7 @@ def test_a_streamed_voltage_acts_for_its_time_or_the_longest_allowed(
 
 def test_open_loop_without_a_living_link_cuts_the_motors(harness: Harness) -> None:
     harness.arm()
-    harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
+    harness.ask(d.ControlMessage(request=0, axes=0, front_V=1.5, back_V=1.5))
     harness.tick(480)
     assert harness.state is State.OPEN_LOOP
     harness.tick(40)
@@ -518,41 +521,57 @@ def test_travel_cannot_be_closed_without_pitch_nor_unknown_axes(harness: Harness
     assert harness.state is State.ARMED
 
 
+EXCITATION = d.ExciteMessage(
+    request=0, kind=d.Excitation.STEP, front_V=1, back_V=1, start_Hz=1, stop_Hz=2, duration_s=1, seed=1
+)
+"""Accepted by a flying board."""
+
+
 @pytest.mark.parametrize(
-    "message, field",
+    "changes, refused",
     [
-        (d.ExciteMessage(0, 0, 1, 1, 1, 2, 1, 1), 0),
-        (d.ExciteMessage(0, 6, 1, 1, 1, 2, 1, 1), 0),
-        (d.ExciteMessage(0, 1, 2.5, 1, 1, 2, 1, 1), 1),
-        (d.ExciteMessage(0, 1, 1, -2.5, 1, 2, 1, 1), 2),
-        (d.ExciteMessage(0, 3, 1, 1, -1, 2, 1, 1), 3),
-        (d.ExciteMessage(0, 3, 1, 1, 3, 2, 1, 1), 4),
-        (d.ExciteMessage(0, 4, 1, 1, 1, 600, 1, 1), 4),
-        (d.ExciteMessage(0, 5, 1, 1, 0, 0, 1, 1), 4),
-        (d.ExciteMessage(0, 1, 1, 1, 1, 2, 121, 1), 5),
-        (d.ExciteMessage(0, 1, 1, 1, 1, 2, 0, 1), 5),
-        (d.ExciteMessage(0, 5, 1, 1, 0, 5, 1, 0), 6),
+        ({"kind": d.Excitation.NONE}, "kind"),
+        ({"kind": max(d.Excitation) + 1}, "kind"),
+        ({"front_V": 2.5}, "front_V"),
+        ({"back_V": -2.5}, "back_V"),
+        ({"kind": d.Excitation.CHIRP, "start_Hz": -1}, "start_Hz"),
+        ({"kind": d.Excitation.CHIRP, "start_Hz": 3}, "stop_Hz"),
+        ({"kind": d.Excitation.MULTISINE, "stop_Hz": 600}, "stop_Hz"),
+        ({"kind": d.Excitation.PRBS, "start_Hz": 0, "stop_Hz": 0}, "stop_Hz"),
+        ({"duration_s": 121}, "duration_s"),
+        ({"duration_s": 0}, "duration_s"),
+        ({"kind": d.Excitation.PRBS, "start_Hz": 0, "stop_Hz": 5, "seed": 0}, "seed"),
     ],
 )
 def test_excitation_outside_its_bounds_is_refused_by_field(
-    harness: Harness, message: d.ExciteMessage, field: int
+    harness: Harness, changes: dict[str, Any], refused: str
 ) -> None:
     harness.arm()
-    harness.ask(d.ControlMessage(0, 0, 1.5, 1.5))
-    reply = harness.ask(message)
-    assert (reply.result, reply.detail) == (Result.BAD_VALUE, 1 + field), (
-        "request is the first field on the wire"
-    )
+    harness.ask(d.ControlMessage(request=0, axes=0, front_V=1.5, back_V=1.5))
+    reply = harness.ask(dataclasses.replace(EXCITATION, **changes))
+    place_on_the_wire = [field.name for field in dataclasses.fields(EXCITATION)].index(refused)
+    assert (reply.result, reply.detail) == (Result.BAD_VALUE, place_on_the_wire)
 
 
 def test_excitation_adds_to_the_voltages_and_ends_by_itself(harness: Harness) -> None:
     harness.arm()
-    harness.ask(d.ControlMessage(0, 0, 3.0, 3.0))
+    harness.ask(d.ControlMessage(request=0, axes=0, front_V=3.0, back_V=3.0))
     for _ in range(10):
         harness.tick(300)
         harness.ping()
     assert harness.motors[:2] == (525, 525)
-    harness.ask(d.ExciteMessage(0, d.Excitation.STEP, 1.0, -1.0, 0, 0, 0.3, 1))
+    harness.ask(
+        d.ExciteMessage(
+            request=0,
+            kind=d.Excitation.STEP,
+            front_V=1.0,
+            back_V=-1.0,
+            start_Hz=0,
+            stop_Hz=0,
+            duration_s=0.3,
+            seed=1,
+        )
+    )
     harness.tick(20)
     assert harness.motors[:2] == (700, 350)
     harness.tick(300)
@@ -561,7 +580,21 @@ def test_excitation_adds_to_the_voltages_and_ends_by_itself(harness: Harness) ->
 
 
 def test_excitation_ends_when_the_board_must_hold(flying: Harness) -> None:
-    assert flying.ask(d.ExciteMessage(0, d.Excitation.MULTISINE, 0.2, 0.2, 0.1, 5, 60, 1)).result == Result.OK
+    assert (
+        flying.ask(
+            d.ExciteMessage(
+                request=0,
+                kind=d.Excitation.MULTISINE,
+                front_V=0.2,
+                back_V=0.2,
+                start_Hz=0.1,
+                stop_Hz=5,
+                duration_s=60,
+                seed=1,
+            )
+        ).result
+        == Result.OK
+    )
     for _ in range(6):  # a host that reads later loses events: the buffer of the line is full of telemetry
         flying.tick(100)
     assert flying.state is State.HOLD
@@ -575,7 +608,7 @@ def test_unsafe_parameters_are_refused_in_flight_and_gains_are_not(flying: Harne
 
 
 def test_zero_and_save_are_refused_in_flight(flying: Harness) -> None:
-    for message in (d.ZeroMessage(0, 7), d.ParamsSaveMessage(0), d.ParamsDefaultMessage(0)):
+    for message in (d.ZeroMessage(request=0, axes=7), d.ParamsSaveMessage(0), d.ParamsDefaultMessage(0)):
         assert flying.ask(message).result == Result.BAD_STATE
 
 
@@ -585,7 +618,7 @@ def test_gain_changes_act_in_the_next_tick(flying: Harness) -> None:
     before = flying.motors
     flying.set("hover_V", 3.4)
     flying.keep_flying(3, elevation_deg=REST_DEG)
-    assert flying.motors[0] - before[0] == pytest.approx(0.5 / 12 * 2100, abs=3)
+    assert flying.motors.front_duty - before.front_duty == pytest.approx(0.5 / 12 * DUTY_FULL, abs=3)
 
 
 def elevation_setpoints(harness: Harness) -> tuple[np.ndarray, np.ndarray]:
@@ -627,9 +660,9 @@ def test_a_step_becomes_a_ramp_within_slew_and_acceleration_that_does_not_oversh
 def land_without_travel(harness: Harness) -> None:
     harness.set("travel_motion_deg", 4.0)
     harness.arm()
-    harness.glide(0, 0, 60)
+    harness.glide(ELEVATION, to_deg=0, deg_s=60)
     harness.close_loops()
-    harness.glide(1, 10.0, 60)
+    harness.glide(PITCH, to_deg=10.0, deg_s=60)
     harness.keep_flying(1500)
 
 
@@ -679,7 +712,7 @@ def test_an_axis_that_is_held_already_keeps_its_setpoint_when_its_loop_is_asked_
     harness.close_loops(3)
     harness.tick(600)
     assert harness.state is State.HOLD
-    harness.glide(2, 5.0, 20.0)
+    harness.glide(TRAVEL, to_deg=5.0, deg_s=20.0)
     harness.close_loops(7)
     harness.tick(2)
     assert harness.state is State.CLOSED_LOOP
@@ -687,7 +720,7 @@ def test_an_axis_that_is_held_already_keeps_its_setpoint_when_its_loop_is_asked_
 
 
 def test_a_setpoint_too_late_for_a_landing_is_no_fault(flying: Harness) -> None:
-    flying.glide(0, 0, 60)
+    flying.glide(ELEVATION, to_deg=0, deg_s=60)
     flying.ask(d.LandMessage(0))
     before = sum(event.kind == Event.SETPOINT_REJECTED for event in flying.events)
     flying.keep_flying(1000)
@@ -701,12 +734,13 @@ def test_a_landing_that_never_reaches_the_table_times_out_counted_from_its_begin
     harness.tick(5000)
     harness.ping()
     harness.fly()
-    harness.glide(0, 0, 60)
+    harness.glide(ELEVATION, to_deg=0, deg_s=60)
     assert harness.ask(d.LandMessage(0)).result == Result.OK
+    # A swing takes 80 ms: the landing must last 149 of them (11.9 s), and end within 157 (12.6 s).
     for swing in range(157):
         assert harness.state is State.LANDING or swing >= 149
-        harness.glide(0, 2.0, 50.0)
-        harness.glide(0, 0.0, 50.0)
+        harness.glide(ELEVATION, to_deg=2.0, deg_s=50.0)
+        harness.glide(ELEVATION, to_deg=0.0, deg_s=50.0)
     assert harness.motors_off
     fault = harness.last_event(Event.FAULT)
     assert fault.detail == Fault.LANDING_TIMEOUT
@@ -714,12 +748,12 @@ def test_a_landing_that_never_reaches_the_table_times_out_counted_from_its_begin
 
 
 def test_an_arm_must_lie_still_at_a_stretch_to_have_landed(flying: Harness) -> None:
-    flying.glide(0, REST_DEG + 3, 60)
+    flying.glide(ELEVATION, to_deg=REST_DEG + 3, deg_s=60)
     flying.ask(d.LandMessage(0))
     for _ in range(4):
-        flying.glide(0, REST_DEG, 30)
+        flying.glide(ELEVATION, to_deg=REST_DEG, deg_s=30)
         flying.tick(200)
-        flying.glide(0, REST_DEG + 3, 30)
+        flying.glide(ELEVATION, to_deg=REST_DEG + 3, deg_s=30)
         flying.tick(50)
     assert flying.state is State.LANDING
 
@@ -728,9 +762,9 @@ def test_an_arm_must_lie_still_at_a_stretch_to_have_landed(flying: Harness) -> N
 def test_an_arm_has_landed_within_a_degree_and_a_half_of_its_rest(
     flying: Harness, above_deg: float, landed: bool
 ) -> None:
-    flying.glide(0, REST_DEG + 8, 60)
+    flying.glide(ELEVATION, to_deg=REST_DEG + 8, deg_s=60)
     flying.ask(d.LandMessage(0))
-    flying.glide(0, REST_DEG + above_deg, 30)
+    flying.glide(ELEVATION, to_deg=REST_DEG + above_deg, deg_s=30)
     flying.tick(2000)
     assert flying.state is (State.IDLE if landed else State.FAULT)
     assert landed or flying.last_event(Event.FAULT).detail == Fault.ELEVATION_REST

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import heli_host.declaration as d
 import pytest
 from heli_host.declaration import CHANNELS, Channel, Event, Fault, Probe, Result, State, Trigger
 from heli_host.link.telemetry import TelemetryDecoder
 
-from tests.flight.harness import DUTY_FULL, Harness
+from tests.flight.harness import DUTY_FULL, ELEVATION, PITCH, TRAVEL, Harness
 
 COUNT_DEG = 360.0 / 4096.0
 SUPPLY_V, DEAD_ZONE_V = 12.0, 1.0
-ELEVATION, PITCH, TRAVEL = range(3)
 
 
 def board_in_level_flight(*, axes: int = 7, **parameters: float) -> Harness:
@@ -24,7 +23,7 @@ def board_in_level_flight(*, axes: int = 7, **parameters: float) -> Harness:
     for name, value in parameters.items():
         harness.set(name, value)
     assert harness.arm().result == Result.OK
-    harness.glide(ELEVATION, 0.0, 100.0)
+    harness.glide(ELEVATION, to_deg=0.0, deg_s=100.0)
     assert harness.close_loops(axes).result == Result.OK
     return harness
 
@@ -41,9 +40,16 @@ def hover(harness: Harness, ticks: int, *, still: tuple[int, ...] = (), **setpoi
     harness.move(*around)
 
 
-def tripped(harness: Harness) -> tuple[Fault, Trigger]:
+class Trip(NamedTuple):
+    """The last fault, and what it made the board do."""
+
+    fault: Fault
+    cause: Trigger
+
+
+def tripped(harness: Harness) -> Trip:
     event = harness.last_event(Event.FAULT)
-    return Fault(event.detail), Trigger(event.cause)
+    return Trip(Fault(event.detail), Trigger(event.cause))
 
 
 def test_an_arm_that_moves_and_is_where_it_should_be_flies_on() -> None:
@@ -76,13 +82,13 @@ def test_without_counts_at_take_off_the_lift_decreases_to_nothing() -> None:
 def test_an_arm_within_two_degrees_of_its_rest_may_lie_on_the_table() -> None:
     """It lies 1.5 degrees above its rest, on a soft table; the motors push more, and still too little."""
     harness = Harness(tracked=True)
-    harness.glide(ELEVATION, -23.5, 5.0)
+    harness.glide(ELEVATION, to_deg=-23.5, deg_s=5.0)
     harness.tick(300)
     harness.ping()
     assert harness.arm().result == Result.OK
     assert harness.ask(d.StreamMessage(0)).result == Result.OK
     for volts_V in (*[0.3] * 50, *[1.7] * 100):
-        harness.send(d.VoltagesMessage(volts_V, volts_V, 40))
+        harness.send(d.VoltagesMessage(front_V=volts_V, back_V=volts_V, valid_ms=40))
         harness.tick(20)
     assert harness.state is State.STREAMED
 
@@ -108,7 +114,7 @@ def test_a_pitch_that_is_driven_and_does_not_count_is_landed_without_it(still: t
         front, back, _ = harness.motors
         harness.move(pitch_deg=harness.angles_deg[PITCH] + 5 * COUNT_DEG)
         harness.tick()
-        assert harness.motors[0] - harness.motors[1] == pytest.approx(front - back, abs=1)
+        assert harness.motors.front_duty - harness.motors.back_duty == pytest.approx(front - back, abs=1)
 
 
 @pytest.mark.parametrize("step_counts", [1, 2])
@@ -127,16 +133,16 @@ def test_a_single_count_to_and_fro_is_no_motion(step_counts: int) -> None:
 def test_a_travel_that_does_not_count_while_the_arm_tilts_is_landed_without_it_and_latched() -> None:
     harness = board_in_level_flight()
     hover(harness, 1000)
-    harness.glide(PITCH, 12.0, 60.0)
+    harness.glide(PITCH, to_deg=12.0, deg_s=60.0)
     hover(harness, 900, still=(TRAVEL,))
     assert harness.state is State.CLOSED_LOOP
     hover(harness, 400, still=(TRAVEL,))
     assert harness.state is State.EMERGENCY_LANDING
     assert tripped(harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.AXIS_LOST)
-    assert harness.motors[2]
+    assert harness.motors.are_enabled
     assert harness.close_loops().result == Result.BAD_STATE
-    harness.glide(PITCH, 0.0, 100.0)
-    harness.glide(ELEVATION, -25.0, 20.0)
+    harness.glide(PITCH, to_deg=0.0, deg_s=100.0)
+    harness.glide(ELEVATION, to_deg=-25.0, deg_s=20.0)
     harness.tick(1000)
     assert harness.state is State.FAULT and harness.motors_off
     assert harness.arm().result == Result.BAD_STATE
@@ -151,7 +157,7 @@ def balanced() -> Harness:
 
 def turn(harness: Harness, ticks: int, *, pitch_deg: float, rate_deg_s: float = 0.0) -> None:
     """Tilt the arm, and let travel turn at a rate."""
-    harness.glide(PITCH, pitch_deg, 100.0)
+    harness.glide(PITCH, to_deg=pitch_deg, deg_s=100.0)
     travel_deg = harness.angles_deg[TRAVEL]
     for k in range(ticks):
         if k % 20 == 0:
@@ -225,24 +231,24 @@ def test_an_axis_that_stays_away_from_its_setpoint_is_a_following_error(
     for gain in ("travel_kp", "travel_ki", "travel_kd"):
         harness.set(gain, 0.0)
     hover(harness, 1000)
-    harness.glide(axis, away_deg, 100.0)
+    harness.glide(axis, to_deg=away_deg, deg_s=100.0)
     hover(harness, 900)
     assert harness.state is State.CLOSED_LOOP
     hover(harness, 600)
     assert harness.state is ends
-    assert tripped(harness)[0] is fault
+    assert tripped(harness).fault is fault
 
 
 def test_nothing_of_this_applies_to_a_bench_in_open_loop_nor_to_an_axis_that_is_open() -> None:
     bench = Harness(tracked=True)
     bench.arm()
-    bench.ask(d.ControlMessage(0, 0, 6.0, 4.0))
+    bench.ask(d.ControlMessage(request=0, axes=0, front_V=6.0, back_V=4.0))
     for _ in range(30):
         bench.ping()
         bench.tick(100)
     assert bench.state is State.OPEN_LOOP
     tilted = board_in_level_flight(axes=3, pitch_motion_V=48.0)
-    tilted.glide(PITCH, 10.0, 60.0)
+    tilted.glide(PITCH, to_deg=10.0, deg_s=60.0)
     hover(tilted, 3000, still=(TRAVEL,), pitch_deg=10.0)
     assert tilted.state is State.CLOSED_LOOP
 
@@ -252,9 +258,9 @@ def test_a_law_on_the_host_is_watched_for_motion_too() -> None:
     harness.arm()
     harness.ask(d.StreamMessage(0))
     for _ in range(80):
-        harness.send(d.VoltagesMessage(6.0, 6.0, 50))
+        harness.send(d.VoltagesMessage(front_V=6.0, back_V=6.0, valid_ms=50))
         harness.tick(20)
-    assert tripped(harness)[0] is Fault.ELEVATION_MOTIONLESS
+    assert tripped(harness).fault is Fault.ELEVATION_MOTIONLESS
 
 
 GAIN_1_s2 = 0.5
@@ -262,7 +268,14 @@ GAIN_1_s2 = 0.5
 FRICTION_20_mNm_DEG = 2.8
 """Tilt that 20 mN m of dry friction hold on the paper's rig."""
 STEP_ms = 4
-PITCH_s = 0.2
+PITCH_LAG_s = 0.2
+
+
+class Answer(NamedTuple):
+    """A step of the check of a silent travel encoder: the board tilts the arm and looks whether it turns."""
+
+    tick: int
+    probe: Probe
 
 
 class Arm:
@@ -280,26 +293,26 @@ class Arm:
         self.harness = board_in_level_flight(**parameters)  # type: ignore[arg-type]
         self.dead = dead
         self.friction_deg = friction_deg
+        # Enough motion of pitch that its own encoder does not count as silent.
         self.stir_deg = 0.0 if calm else 0.8
         self.decoder = TelemetryDecoder()
-        self.pitch_setpoint_deg = 0.0
-        self.pitch_deg = self.travel_deg = self.rate_deg_s = 0.0
-        self.tilts_deg: list[float] = []
-        self.follows = True
-        self.shown_deg = 0.0
-        self.elevation_setpoint_deg = 0.0
+        self.pitch_setpoint_deg = self.elevation_setpoint_deg = 0.0
+        self.pitch_deg = self.travel_deg = self.travel_rate_deg_s = 0.0
+        self.pitches_deg: list[float] = []
+        self.pitch_follows = True
+        self.encoder_travel_deg = 0.0
 
     def hover(self, seconds: float, *, swing_deg: float = 0.0) -> None:
-        """Hold it there; with a swing, something moves travel to and fro all the time."""
+        """Send setpoints of level flight; with a swing, something moves travel to and fro all the time."""
         harness = self.harness
         for k in range(round(1000 * seconds / STEP_ms)):
             if k % 5 == 0:
                 harness.setpoint(travel_deg=0.0)
             self._turn(0.001 * STEP_ms)
             if not self.dead:
-                self.shown_deg = self.travel_deg + swing_deg * (k // 50 % 2)
+                self.encoder_travel_deg = self.travel_deg + swing_deg * (k // 50 % 2)
             stir_deg = self.stir_deg * (k // 75 % 2)
-            harness.move(pitch_deg=self.pitch_deg + stir_deg, travel_deg=self.shown_deg)
+            harness.move(pitch_deg=self.pitch_deg + stir_deg, travel_deg=self.encoder_travel_deg)
             before = len(harness.frames)
             harness.tick(STEP_ms)
             batches = [f.payload for f in harness.frames[before:] if f.id == d.MessageId.TELEMETRY]
@@ -309,42 +322,46 @@ class Arm:
                     math.degrees(raw[channel] * CHANNELS[channel].scale)
                     for channel in (Channel.PITCH_SETPOINT, Channel.ELEVATION_SETPOINT)
                 )
-            self.tilts_deg.append(self.pitch_deg)
+            self.pitches_deg.append(self.pitch_deg)
 
     def _turn(self, step_s: float) -> None:
-        if not self.follows:
+        """Let pitch follow its setpoint and travel turn, against dry friction in tilts that it holds."""
+        if not self.pitch_follows:
             return
-        self.pitch_deg += (self.pitch_setpoint_deg - self.pitch_deg) * step_s / PITCH_s
-        turns = self.rate_deg_s != 0.0
-        forth = (self.rate_deg_s if turns else self.pitch_deg) > 0.0
-        if not turns and abs(self.pitch_deg) <= self.friction_deg:
+        self.pitch_deg += (self.pitch_setpoint_deg - self.pitch_deg) * step_s / PITCH_LAG_s
+        is_turning = self.travel_rate_deg_s != 0.0
+        is_positive = (self.travel_rate_deg_s if is_turning else self.pitch_deg) > 0.0
+        if not is_turning and abs(self.pitch_deg) <= self.friction_deg:
             return
-        drive_deg = self.pitch_deg - (self.friction_deg if forth else -self.friction_deg)
-        rate_deg_s = self.rate_deg_s + GAIN_1_s2 * step_s * drive_deg
-        self.rate_deg_s = 0.0 if (rate_deg_s > 0.0) != forth else rate_deg_s
-        self.travel_deg += self.rate_deg_s * step_s
+        drive_deg = self.pitch_deg - (self.friction_deg if is_positive else -self.friction_deg)
+        rate_deg_s = self.travel_rate_deg_s + GAIN_1_s2 * step_s * drive_deg
+        # Friction stops the turn, and does not reverse it.
+        self.travel_rate_deg_s = 0.0 if (rate_deg_s > 0.0) != is_positive else rate_deg_s
+        self.travel_deg += self.travel_rate_deg_s * step_s
 
     @property
-    def answers(self) -> list[tuple[int, Probe]]:
-        return [(e.tick, Probe(e.detail)) for e in self.harness.events if e.kind == Event.TRAVEL_PROBE]
+    def answers(self) -> list[Answer]:
+        """Events of the check of travel, oldest first."""
+        return [Answer(e.tick, Probe(e.detail)) for e in self.harness.events if e.kind == Event.TRAVEL_PROBE]
 
 
 def asked_s(arm: Arm) -> list[float]:
-    return [1e-3 * tick for tick, answer in arm.answers if answer is Probe.ASKED]
+    """Times at which the board began to ask."""
+    return [1e-3 * answer.tick for answer in arm.answers if answer.probe is Probe.ASKED]
 
 
 @pytest.mark.parametrize("friction_deg", [0.0, FRICTION_20_mNm_DEG, 4.0], ids=str)
 def test_a_dead_travel_encoder_is_named_by_tilts_to_both_sides(friction_deg: float) -> None:
     arm = Arm(dead=True, friction_deg=friction_deg)
     arm.hover(6.0)
-    assert arm.answers[-1][1] is Probe.SILENT
+    assert arm.answers[-1].probe is Probe.SILENT
     assert arm.harness.state is State.EMERGENCY_LANDING
     assert tripped(arm.harness) == (Fault.TRAVEL_MOTIONLESS, Trigger.AXIS_LOST)
-    assert max(arm.tilts_deg) > 8.0 and min(arm.tilts_deg) < -8.0
+    assert max(arm.pitches_deg) > 8.0 and min(arm.pitches_deg) < -8.0
     # Without friction it drifts, but the tilts leave it little speed.
     assert abs(arm.travel_deg) < 15.0
     arm.hover(1.0)
-    assert abs(arm.rate_deg_s) < 2.0
+    assert abs(arm.travel_rate_deg_s) < 2.0
 
 
 @pytest.mark.medium
@@ -352,9 +369,9 @@ def test_a_dead_travel_encoder_is_named_by_tilts_to_both_sides(friction_deg: flo
 def test_an_arm_that_dry_friction_holds_counts_under_the_tilt_and_flies_on(friction_deg: float) -> None:
     arm = Arm(friction_deg=friction_deg)
     arm.hover(30.0)
-    assert {answer for _, answer in arm.answers} == {Probe.ASKED, Probe.COUNTS}
+    assert {answer.probe for answer in arm.answers} == {Probe.ASKED, Probe.COUNTS}
     assert arm.harness.state is State.CLOSED_LOOP
-    assert max(abs(tilt) for tilt in arm.tilts_deg) < 13.0
+    assert max(abs(tilt) for tilt in arm.pitches_deg) < 13.0
 
 
 @pytest.mark.medium
@@ -384,30 +401,30 @@ def test_an_arm_is_not_asked(arm: dict[str, Any], seconds: float, swing_deg: flo
 def test_an_encoder_that_dies_after_it_has_answered_is_named_too() -> None:
     arm = Arm()
     arm.hover(6.0)
-    assert arm.answers[-1][1] is Probe.COUNTS
+    assert arm.answers[-1].probe is Probe.COUNTS
     arm.dead = True
     arm.hover(12.0)
-    assert arm.answers[-1][1] is Probe.SILENT
+    assert arm.answers[-1].probe is Probe.SILENT
 
 
 def test_a_pitch_that_does_not_follow_gives_no_answer_and_no_fault() -> None:
     arm = Arm(dead=True)
     arm.harness.set("pitch_following_max_deg", 180.0)
-    arm.follows = False
+    arm.pitch_follows = False
     arm.hover(6.0)
-    assert [answer for _, answer in arm.answers][:2] == [Probe.ASKED, Probe.STOPPED]
+    assert [answer.probe for answer in arm.answers][:2] == [Probe.ASKED, Probe.STOPPED]
     assert arm.harness.state is State.CLOSED_LOOP
 
 
 def test_a_landing_without_an_answer_levels_pitch_and_does_not_close_travel() -> None:
     arm = Arm(dead=True)
     arm.hover(3.5)
-    assert arm.answers[-1][1] is Probe.ASKED
+    assert arm.answers[-1].probe is Probe.ASKED
     arm.harness.ask(d.LandMessage(0))
     arm.hover(1.5)
-    assert arm.answers[-1][1] is Probe.STOPPED
-    arm.harness.glide(2, 10.0, 100.0)
-    arm.shown_deg = 10.0
+    assert arm.answers[-1].probe is Probe.STOPPED
+    arm.harness.glide(TRAVEL, to_deg=10.0, deg_s=100.0)
+    arm.encoder_travel_deg = 10.0
     arm.hover(1.0)
     assert arm.harness.state is State.LANDING
     assert abs(arm.pitch_setpoint_deg) < 0.2
@@ -415,7 +432,7 @@ def test_a_landing_without_an_answer_levels_pitch_and_does_not_close_travel() ->
 
 def test_a_landing_that_does_not_come_down_levels_pitch_after_half_its_time() -> None:
     arm = Arm(friction_deg=90.0, travel_silence_s=0.0, travel_motion_deg=90.0)
-    arm.harness.glide(2, 3.0, 100.0)
+    arm.harness.glide(TRAVEL, to_deg=3.0, deg_s=100.0)
     arm.travel_deg = 3.0
     arm.hover(4.0)
     arm.harness.ask(d.LandMessage(0))
@@ -429,8 +446,8 @@ def test_a_landing_that_does_not_come_down_levels_pitch_after_half_its_time() ->
 def test_a_landing_waits_while_the_arm_brakes_its_turn(tilt_deg: float, sinks_deg: float) -> None:
     arm = Arm(travel_silence_s=0.0, travel_motion_deg=90.0)
     arm.hover(1.0)
-    arm.follows = False
-    arm.harness.glide(1, tilt_deg, 100.0)
+    arm.pitch_follows = False
+    arm.harness.glide(PITCH, to_deg=tilt_deg, deg_s=100.0)
     arm.pitch_deg = tilt_deg
     arm.harness.ask(d.LandMessage(0))
     arm.hover(1.5)

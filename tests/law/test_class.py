@@ -262,7 +262,7 @@ def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 def test_each_submission_is_answered_and_marked_the_same_again(tmp_path: Path, in_process: Any) -> None:
     """The rig flies what a person confirms: the first time yes, the second time no."""
     folder = tmp_path / "submissions"
-    make_class(folder, 4, ["forks", "not_a_number", "raises_a_limit"], 5.0)
+    make_class(folder, count=4, names=["forks", "not_a_number", "raises_a_limit"], duration_s=5.0)
     before = digest(folder)
     options = ("--duration", "5", "--port", "sil://?speed=max")
     first, second = (mark_class(folder, *options, run=partial(in_process, answer=answer)) for answer in "yn")
@@ -288,7 +288,7 @@ def test_each_submission_is_answered_and_marked_the_same_again(tmp_path: Path, i
 @pytest.mark.skipif(not LONG, reason="180 submissions, each marked twice: make long")
 def test_a_class_with_every_hostile_submission_is_answered(tmp_path: Path, in_process: Any) -> None:
     folder = tmp_path / "submissions"
-    make_class(folder, 180, list(HOSTILE), 8.0)
+    make_class(folder, count=180, names=list(HOSTILE), duration_s=8.0)
     before = digest(folder)
     first, second = (
         mark_class(folder, "--duration", "8", "--load-timeout", "3", run=in_process) for _ in range(2)
@@ -407,7 +407,7 @@ def test_the_page_states_every_number_that_limits_the_points() -> None:
 def test_a_wrong_option_is_no_fault_of_a_submission(
     options: tuple[str, ...], message: str, tmp_path: Path, in_process: Any
 ) -> None:
-    make_class(tmp_path / "class", 1, [], 5.0)
+    make_class(tmp_path / "class", count=1, names=[], duration_s=5.0)
     before = digest(tmp_path / "class")
     code, text = in_process(["class", str(tmp_path / "class"), "--duration", "5", *options])
     assert code != 0 and message in text and text.count("\n") == 1

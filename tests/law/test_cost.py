@@ -123,17 +123,19 @@ def test_random_tapes_never_take_longer_than_predicted(processor: Processor) -> 
 def test_a_flight_costs_no_more_than_predicted_and_nearly_as_much(name: str) -> None:
     program = law_of(LAWS / f"{name}.py").program
     flight = flown(program)
-    _, _, update = flight.function(LAW_UPDATE)
+    update = flight.function_cost(LAW_UPDATE).max_instructions
     assert update <= max(program.tick_costs) <= 1.15 * update
     assert name != "lqi" or program.cost <= LQI_MAX
-    assert flight.tick()[2] <= MAX_TICK
+    assert flight.tick_cost().max_instructions <= MAX_TICK
 
 
 def test_states_and_signals_cost_no_more_than_declared() -> None:
-    few, many = (flown(remembering(count).program).function(LAW_UPDATE)[2] for count in (1, 201))
+    few, many = (
+        flown(remembering(count).program).function_cost(LAW_UPDATE).max_instructions for count in (1, 201)
+    )
     each = (many - few) / 200
     assert LAW_STATE_COST - 1 < each <= LAW_STATE_COST
-    ticks = flown(remembering(1, signals=4).program).function(LAW_UPDATE)[2]
+    ticks = flown(remembering(1, signals=4).program).function_cost(LAW_UPDATE).max_instructions
     assert (ticks - few) / 4 <= LAW_SIGNAL_COST
 
 
@@ -141,8 +143,8 @@ def test_a_tick_with_the_most_expensive_accepted_tape_is_within_its_bound() -> N
     program = most_expensive().program
     assert LAW_TICK_COST - 400 < program.cost <= LAW_TICK_COST
     flight = flown(program)
-    _, _, update = flight.function(LAW_UPDATE)
-    tick_cycles = flight.tick()[2]
+    update = flight.function_cost(LAW_UPDATE).max_instructions
+    tick_cycles = flight.tick_cost().max_instructions
     assert update <= program.cost <= 1.15 * update
     assert tick_cycles <= MAX_TICK
     # What is around the law has room too, so that no program of the same cost does more.
@@ -164,7 +166,8 @@ def test_a_board_on_which_no_law_flies_pays_at_most_20_instructions_a_tick_for_t
         ["make", "-s", "-C", tmp_path / "firmware" / "due", f"BUILD={tmp_path}", elf_without_seat], check=True
     )
     with_seat, bare = (
-        max(flight.tick()[2] for flight in fly_the_worst(elf)) for elf in (built_elf(), elf_without_seat)
+        max(flight.tick_cost().max_instructions for flight in fly_the_worst(elf))
+        for elf in (built_elf(), elf_without_seat)
     )
     assert 0 < with_seat - bare <= 20
 

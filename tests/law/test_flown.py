@@ -214,7 +214,7 @@ def upload_frames(harness: Harness, program: LawProgram, request: int) -> list[b
 def law_on(harness: Harness) -> LawMessage:
     """The board's report of its law to a host that has just reconnected."""
     # Half a frame swallows what follows it, as on a line; a host greets until it is answered.
-    hello = HelloMessage(240, LINK_HASH, 2)
+    hello = HelloMessage(request=240, link_hash=LINK_HASH, session=2)
     greeted = any(
         payloads_of(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9)
     )

@@ -78,7 +78,7 @@ def test_a_law_that_flies_cannot_be_replaced_and_no_part_reaches_its_tape() -> N
     assert engage(harness, flying).result == Result.OK
     harness.keep_flying(2500)
     motors = harness.motors
-    refused = harness.ask(d.LawBeginMessage(0, other.hash, len(other.words)))
+    refused = harness.ask(d.LawBeginMessage(request=0, hash=other.hash, words=len(other.words)))
     assert (refused.result, refused.detail) == (Result.BAD_LAW, LawError.FLYING)
     for first in range(0, len(flying.words), PART_WORDS):
         answer = harness.ask(d.LawPartMessage(0, first, *([0] * PART_WORDS)))
@@ -206,9 +206,9 @@ def test_a_law_logs_each_of_its_signals_in_its_own_channel_and_a_large_one_at_it
 
 def test_a_law_as_long_as_the_tape_is_received_and_a_word_more_is_refused() -> None:
     harness = Harness()
-    longest = harness.ask(d.LawBeginMessage(0, 1, d.LAW_WORDS))
+    longest = harness.ask(d.LawBeginMessage(request=0, hash=1, words=d.LAW_WORDS))
     assert longest.result == Result.OK
-    longer = harness.ask(d.LawBeginMessage(0, 1, d.LAW_WORDS + 1))
+    longer = harness.ask(d.LawBeginMessage(request=0, hash=1, words=d.LAW_WORDS + 1))
     assert (longer.result, longer.detail, longer.value) == (Result.BAD_LAW, LawError.TOO_LONG, d.LAW_WORDS)
 
 

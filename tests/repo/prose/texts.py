@@ -130,7 +130,7 @@ def _tests(source: str, name: str) -> Iterator[Text]:
             continue
         line = 1 if isinstance(node, ast.Module) else node.lineno
         if not isinstance(node, ast.Module) and node.name.startswith("test_"):
-            yield Text(name, line, "test", False, node.name.replace("_", " "))
+            yield Text(name, line, "test", is_prose=False, content=node.name.replace("_", " "))
         yield from _docstring(ast.get_docstring(node) or "", name, line, "test")
         # A text below an assignment describes a constant or a field.
         for before, text in itertools.pairwise(node.body):
@@ -141,7 +141,7 @@ def _tests(source: str, name: str) -> Iterator[Text]:
         if token.type == tokenize.COMMENT:
             comment.append(token.string.lstrip("#: "))
         elif token.type not in (tokenize.NL, tokenize.NEWLINE) and comment:
-            yield Text(name, token.start[0], "test", True, _without_code(" ".join(comment)))
+            yield Text(name, token.start[0], "test", is_prose=True, content=_without_code(" ".join(comment)))
             comment = []
 
 
@@ -155,10 +155,10 @@ def _script(source: str, name: str) -> Iterator[Text]:
                 comment.append(line.lstrip("# "))
             continue
         if comment:
-            yield Text(name, number - 1, "help", True, _without_code(" ".join(comment)))
+            yield Text(name, number - 1, "help", is_prose=True, content=_without_code(" ".join(comment)))
             comment = []
         if target := re.match(r"\w+:.*?## (.*)", line):
-            yield Text(name, number, "help", True, target[1])
+            yield Text(name, number, "help", is_prose=True, content=target[1])
 
 
 def _plain(inline: Token) -> str:
@@ -183,7 +183,11 @@ def _markdown(source: str, name: str, first_line: int) -> Iterator[Text]:
         if token.type != "inline" or token.map is None:
             continue
         yield Text(
-            name, first_line + token.map[0], "document", before.type == "paragraph_open", _plain(token)
+            name,
+            first_line + token.map[0],
+            "document",
+            is_prose=before.type == "paragraph_open",
+            content=_plain(token),
         )
 
 
@@ -211,7 +215,7 @@ def _meanings(source: str, name: str) -> Iterator[Text]:
 
     for meaning in walk(tomllib.loads(source)):
         at = source.find(meaning[:40])
-        yield Text(name, source[: max(at, 0)].count("\n") + 1, "message", False, meaning)
+        yield Text(name, source[: max(at, 0)].count("\n") + 1, "message", is_prose=False, content=meaning)
 
 
 def _is_public(name: str) -> bool:
@@ -257,7 +261,7 @@ def _error_text(call: ast.Call, errors: frozenset[str], name: str) -> Iterator[T
     else:
         has_remedy = any(";" in text for text in strings) or WITH_REMEDY in ast.unparse(cause)
     for text in strings or [CODE]:
-        yield Text(name, call.lineno, "message", False, text, has_remedy)
+        yield Text(name, call.lineno, "message", is_prose=False, content=text, has_remedy=has_remedy)
         has_remedy = True
 
 
@@ -281,10 +285,10 @@ def _python(source: str, name: str, errors: frozenset[str]) -> Iterator[Text]:
             if list(_error_text(node.exc, errors, name)):
                 continue
             for text in _strings(node.exc):
-                yield Text(name, node.lineno, "message", False, text)
+                yield Text(name, node.lineno, "message", is_prose=False, content=text)
         elif isinstance(node, ast.keyword) and node.arg == "help":
             for text in _strings(node.value):
-                yield Text(name, node.value.lineno, "help", False, text)
+                yield Text(name, node.value.lineno, "help", is_prose=False, content=text)
 
 
 def _attribute_docstrings(node: ast.Module | ast.ClassDef) -> Iterator[tuple[int, str]]:
@@ -307,11 +311,11 @@ def _docstring(doc: str, name: str, line: int, kind: str) -> Iterator[Text]:
             and not re.match(r"\s*(?:>>>|\.\. |    |\||- )", paragraph)
             and "::" not in paragraph
         ):
-            yield Text(name, line, kind, True, _without_code(paragraph))
+            yield Text(name, line, kind, is_prose=True, content=_without_code(paragraph))
     # Entries of arguments: their texts are indented, their heads are names and types.
     for text in re.findall(r"(?:^[ ]{4,}\S.*\n?)+", entries, re.MULTILINE):
         if ">>>" not in text:
-            yield Text(name, line, kind, True, _without_code(text))
+            yield Text(name, line, kind, is_prose=True, content=_without_code(text))
 
 
 def _without_code(text: str) -> str:
