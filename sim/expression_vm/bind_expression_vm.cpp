@@ -36,6 +36,8 @@ void require(bool holds, const char* what) {
 }
 
 // Checks such lists and makes a function of them. `widths` are the lengths of the inputs' rows.
+// Operands `a` and `b` of an operation are the numbers of earlier values; those of an input are the
+// number of the input and of its element.
 Function function_of(const std::vector<int>& operations, const std::vector<std::int32_t>& a,
                      const std::vector<std::int32_t>& b, const std::vector<double>& constants,
                      const std::vector<std::size_t>& widths) {
@@ -50,14 +52,14 @@ Function function_of(const std::vector<int>& operations, const std::vector<std::
             "unknown operation");
     const auto op = static_cast<Op>(operations[i]);
     const int count = heli_lab::arguments_of(op);
-    const auto now = static_cast<std::int32_t>(i);
+    const auto number = static_cast<std::int32_t>(i);
     if (op == Op::kInput) {
       require(a[i] >= 0 && static_cast<std::size_t>(a[i]) < widths.size() && b[i] >= 0 &&
                   static_cast<std::size_t>(b[i]) < widths[static_cast<std::size_t>(a[i])],
               "no such input");
     }
-    require(count < 1 || (a[i] >= 0 && a[i] < now), "a value is read before it is there");
-    require(count < 2 || (b[i] >= 0 && b[i] < now), "a value is read before it is there");
+    require(count < 1 || (a[i] >= 0 && a[i] < number), "a value is read before it is there");
+    require(count < 2 || (b[i] >= 0 && b[i] < number), "a value is read before it is there");
     function.values.push_back({op, a[i], b[i], constants[i]});
   }
   return function;
@@ -152,17 +154,18 @@ class CourseIntegrator {
 
   // z at the end of one substep of each row; the arguments are those of Integrator::run().
   Out run(const std::vector<In>& course, const Line& t_s, const Line& shared, double step_s,
-          std::size_t substeps, std::size_t seen, const Line& start) const {
+          std::size_t substeps, std::size_t output_substep, const Line& start) const {
     require(!course.empty(), "no input has rows");
     const std::vector<const double*> inputs = pointers(course, shared, widths_, 2);
     const std::size_t rows = t_s.shape(0);
     require(course[0].shape(0) == rows, "t_s has another length than the course");
     require(start.shape(0) == widths_[0], "start has another length than z");
-    require(seen < substeps, "there is no such substep");
+    require(output_substep < substeps, "there is no such substep");
     Out out = table(rows, widths_[0]);
     {
       const nb::gil_scoped_release release;
-      integrator_.run(inputs, t_s.data(), rows, step_s, substeps, seen, start.data(), out.data());
+      integrator_.run(inputs, t_s.data(), rows, step_s, substeps, output_substep, start.data(),
+                      out.data());
     }
     return out;
   }

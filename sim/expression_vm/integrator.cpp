@@ -119,12 +119,13 @@ void Integrator::follow(const Stepper& stepper, double* table, double* out) {
 
 // See integrator.hpp.
 void Integrator::run(const std::vector<const double*>& course, const double* t_s, std::size_t rows,
-                     double step_s, std::size_t substeps, std::size_t seen, const double* start,
-                     double* out) const {
+                     double step_s, std::size_t substeps, std::size_t output_substep,
+                     const double* start, double* out) const {
   const std::size_t width = known_.size();
   std::vector<double> known(rows * width);
   std::vector<const double*> inputs(course);
-  // No value that is evaluated beforehand reads z or time, so these inputs may be null.
+  // Values that depend on neither z nor time are evaluated beforehand, for all rows; the inputs z
+  // and time may be null there.
   inputs.insert(inputs.begin(), {nullptr, nullptr});
   beforehand_->evaluate(inputs, rows, {known.data()});
   std::vector<double> table(table_);
@@ -133,13 +134,15 @@ void Integrator::run(const std::vector<const double*>& course, const double* t_s
   std::vector<double> k2(states_);
   std::vector<double> k3(states_);
   std::vector<double> k4(states_);
-  const double h = step_s / static_cast<double>(substeps);
-  // dz/dt at z + share * slope, at the time in the table.
-  const auto rate = [&](const std::vector<double>* slope, double share, std::vector<double>& to) {
+  const double substep_s = step_s / static_cast<double>(substeps);
+  // dz/dt after `time_s` at the rate `slope`, of the equations at the time in the table. At first
+  // there is no slope.
+  const auto rate_after = [&](double time_s, const std::vector<double>* slope,
+                              std::vector<double>& rate) {
     for (std::size_t i = 0; i < states_; ++i) {
-      table[i] = z[i] + (slope == nullptr ? 0.0 : share * (*slope)[i]);
+      table[i] = z[i] + (slope == nullptr ? 0.0 : time_s * (*slope)[i]);
     }
-    follow(rates_, table.data(), to.data());
+    follow(rates_, table.data(), rate.data());
   };
   for (std::size_t row = 0; row < rows; ++row) {
     // The values of this row that were evaluated beforehand.
@@ -150,22 +153,23 @@ void Integrator::run(const std::vector<const double*>& course, const double* t_s
     for (std::size_t sub = 0; sub < substeps; ++sub) {
       // A row's time t_s is the middle of its step.
       const double from_middle = static_cast<double>(sub) - 0.5 * static_cast<double>(substeps);
-      const double now_s = t_s[row] + h * from_middle;
+      const double now_s = t_s[row] + substep_s * from_middle;
       table[states_] = now_s;
       // Runge-Kutta of fourth order; all stages take the substep's first time.
-      rate(nullptr, 0.0, k1);
-      rate(&k1, 0.5 * h, k2);
-      rate(&k2, 0.5 * h, k3);
-      rate(&k3, h, k4);
+      rate_after(0.0, nullptr, k1);
+      rate_after(0.5 * substep_s, &k1, k2);
+      rate_after(0.5 * substep_s, &k2, k3);
+      rate_after(substep_s, &k3, k4);
       for (std::size_t i = 0; i < states_; ++i) {
-        z[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
+        z[i] += substep_s / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
       }
+      // Some equations also change z at once, at the end of a substep.
       if (jumps_) {
         std::copy(z.begin(), z.end(), table.begin());
-        table[states_] = now_s + h;
+        table[states_] = now_s + substep_s;
         follow(resets_, table.data(), z.data());
       }
-      if (sub == seen) {
+      if (sub == output_substep) {
         std::copy(z.begin(), z.end(), out + row * states_);
       }
     }

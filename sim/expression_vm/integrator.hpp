@@ -20,9 +20,9 @@ class Integrator {
 
   // Integrates by the fourth-order Runge-Kutta method with `substeps` per row. `start` is z before
   // the first row. `t_s` is the time in the middle of each row, which lasts `step_s`. Writes z at
-  // the end of substep number `seen` of each row: out is [rows][z].
+  // the end of substep number `output_substep` of each row: out is [rows][z].
   void run(const std::vector<const double*>& course, const double* t_s, std::size_t rows,
-           double step_s, std::size_t substeps, std::size_t seen, const double* start,
+           double step_s, std::size_t substeps, std::size_t output_substep, const double* start,
            double* out) const;
 
  private:

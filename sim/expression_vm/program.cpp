@@ -66,6 +66,29 @@ std::vector<bool> varying(const Function& function) {
   return result;
 }
 
+// The last value that reads each value: -1 if none does, the number of values for an output.
+std::vector<std::int64_t> last_readers(const std::vector<Value>& values,
+                                       const std::vector<std::vector<std::int32_t>>& wanted) {
+  const auto output_reader = static_cast<std::int64_t>(values.size());
+  std::vector<std::int64_t> last(values.size(), -1);
+  for (const std::vector<std::int32_t>& output : wanted) {
+    for (const std::int32_t id : output) {
+      last[static_cast<std::size_t>(id)] = output_reader;
+    }
+  }
+  for (std::size_t i = values.size(); i-- > 0;) {
+    if (last[i] < 0) {
+      continue;
+    }
+    const int operands = arguments_of(values[i].op);
+    for (int k = 0; k < operands; ++k) {
+      std::int64_t& reader = last[static_cast<std::size_t>(k == 0 ? values[i].a : values[i].b)];
+      reader = std::max(reader, static_cast<std::int64_t>(i));
+    }
+  }
+  return last;
+}
+
 // Uniform values become scalars. The others become steps, whose values are in registers: a register
 // is free again after the last step that reads its value.
 Program::Program(const Function& function, const std::vector<std::vector<std::int32_t>>& wanted)
@@ -73,47 +96,31 @@ Program::Program(const Function& function, const std::vector<std::vector<std::in
   const std::vector<Value>& values = function.values;
   const std::size_t count = values.size();
   const std::vector<bool> vary = varying(function);
-  // The last value that reads each value: -1 if none does, `count` for an output.
-  std::vector<std::int64_t> last(count, -1);
-  for (const std::vector<std::int32_t>& output : wanted) {
-    for (const std::int32_t id : output) {
-      last[static_cast<std::size_t>(id)] = static_cast<std::int64_t>(count);
-    }
-  }
-  for (std::size_t i = count; i-- > 0;) {
-    if (last[i] < 0) {
-      continue;
-    }
-    const int operands = arguments_of(values[i].op);
-    for (int k = 0; k < operands; ++k) {
-      std::int64_t& used = last[static_cast<std::size_t>(k == 0 ? values[i].a : values[i].b)];
-      used = std::max(used, static_cast<std::int64_t>(i));
-    }
-  }
+  std::vector<std::int64_t> last_reader = last_readers(values, wanted);
   // Place of each value among the scalars or the registers, and the registers that are free.
   std::vector<std::int32_t> place(count, -1);
-  std::vector<std::int32_t> free;
+  std::vector<std::int32_t> free_registers;
   const auto operand = [&](std::int32_t id) {
     const auto at = static_cast<std::size_t>(id);
     return Operand{place[at], !vary[at]};
   };
   for (std::size_t i = 0; i < count; ++i) {
-    if (last[i] < 0) {
+    if (last_reader[i] < 0) {
       continue;
     }
     const Value& value = values[i];
     const int operands = arguments_of(value.op);
     // A uniform value: its operands are scalars too.
     if (!vary[i]) {
-      Value own = value;
+      Value scalar = value;
       if (operands > 0) {
-        own.a = place[static_cast<std::size_t>(value.a)];
+        scalar.a = place[static_cast<std::size_t>(value.a)];
       }
       if (operands > 1) {
-        own.b = place[static_cast<std::size_t>(value.b)];
+        scalar.b = place[static_cast<std::size_t>(value.b)];
       }
       place[i] = static_cast<std::int32_t>(scalars_.size());
-      scalars_.push_back(own);
+      scalars_.push_back(scalar);
       continue;
     }
     Step step;
@@ -126,16 +133,16 @@ Program::Program(const Function& function, const std::vector<std::vector<std::in
     // Operands that are read for the last time give their registers back.
     for (int k = 0; k < operands; ++k) {
       const auto read = static_cast<std::size_t>(k == 0 ? value.a : value.b);
-      if (vary[read] && last[read] == static_cast<std::int64_t>(i)) {
-        free.push_back(place[read]);
-        last[read] = -1;
+      if (vary[read] && last_reader[read] == static_cast<std::int64_t>(i)) {
+        free_registers.push_back(place[read]);
+        last_reader[read] = -1;
       }
     }
-    if (free.empty() || value.op == Op::kInput) {
+    if (free_registers.empty() || value.op == Op::kInput) {
       place[i] = static_cast<std::int32_t>(registers_++);
     } else {
-      place[i] = free.back();
-      free.pop_back();
+      place[i] = free_registers.back();
+      free_registers.pop_back();
     }
     if (value.op == Op::kInput) {
       loads_.push_back({place[i], value.a, value.b});

@@ -86,19 +86,19 @@ void NativeBoard::boot(heli::link::Reset cause) {
 // See sim_board.hpp. The control tick and the idle loop run once. An invariant of a proof that does
 // not hold after that is a mistake in the flight code, and ends the simulation.
 void NativeBoard::tick(const std::int32_t* count) {
-  std::copy_n(count, heli::kAxisCount, disc_.begin());
-  leaving_ = memory_.tx.size();
+  std::copy_n(count, heli::kAxisCount, disc_count_.begin());
+  leaving_bytes_ = memory_.tx.size();
   if (reset_ticks_ > 0) {
     --reset_ticks_;
     return;
   }
   if (!from_edges_) {
     for (std::size_t axis = 0; axis < heli::kAxisCount; ++axis) {
-      memory_.encoders.count[axis] = disc_[axis] - origin_[axis];
+      memory_.encoders.count[axis] = disc_count_[axis] - count_at_reset_[axis];
     }
   }
   if (erased_) return;  // there is no program
-  if (!code_) boot(cause_);
+  if (!code_) boot(reset_cause_);
   code_->core.tick();
   code_->core.poll();
   if (const char* claim = broken_invariant(*code_, MemoryBoard::kDutyFull)) {
@@ -113,8 +113,8 @@ void NativeBoard::rest(const Edge* edges, std::size_t edge_count) {
   for (std::size_t i = 0; i < edge_count; ++i) {
     memory_.encoders.count[edges[i].axis] += edges[i].direction;
   }
-  while (!arriving_.empty()) {
-    const std::uint8_t byte = arriving_.pop();
+  while (!arriving_bytes_.empty()) {
+    const std::uint8_t byte = arriving_bytes_.pop();
     if (!in_reset() && !memory_.rx.push(byte)) ++memory_.rx_overflow;
   }
 }
@@ -132,11 +132,11 @@ void NativeBoard::reset(heli::link::Reset cause) {
   code_.reset();
   memory_.motors = {};
   memory_.encoders = {};
-  origin_ = disc_;
+  count_at_reset_ = disc_count_;
   memory_.rx.clear();
   memory_.tx.clear();
-  leaving_ = 0;
-  cause_ = cause;
+  leaving_bytes_ = 0;
+  reset_cause_ = cause;
   reset_ticks_ = kResetTicks;
 }
 
@@ -149,8 +149,8 @@ void NativeBoard::erase() {
 
 // The next byte that was written before this millisecond; false if there is none.
 bool NativeBoard::uart_transmit(std::uint8_t& byte) {
-  if (leaving_ == 0) return false;
-  --leaving_;
+  if (leaving_bytes_ == 0) return false;
+  --leaving_bytes_;
   byte = memory_.tx.pop();
   return true;
 }

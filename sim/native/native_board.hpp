@@ -69,7 +69,7 @@ class NativeBoard final : public SimBoard {
   std::uint64_t boots() const override { return boots_; }
   void erase() override;
   void set_stop(bool pressed) override { memory_.stop_input = pressed; }
-  void uart_receive(std::uint8_t byte) override { arriving_.push(byte); }
+  void uart_receive(std::uint8_t byte) override { arriving_bytes_.push(byte); }
   bool uart_transmit(std::uint8_t& byte) override;
 
   MemoryBoard& memory() { return memory_; }
@@ -84,11 +84,11 @@ class NativeBoard final : public SimBoard {
   MemoryBoard memory_;
   std::optional<heli::FlightCode> code_;
   std::uint32_t reset_ticks_ = 0;  // milliseconds until the reset ends
-  heli::link::Reset cause_ = heli::link::Reset::power_up;
-  std::array<std::int32_t, heli::kAxisCount> disc_{};    // as of the last tick
-  std::array<std::int32_t, heli::kAxisCount> origin_{};  // where the counters stood at 0
-  ByteRing<64> arriving_;                                // more than a millisecond carries
-  std::size_t leaving_ = 0;                              // bytes written before this millisecond
+  heli::link::Reset reset_cause_ = heli::link::Reset::power_up;
+  std::array<std::int32_t, heli::kAxisCount> disc_count_{};      // as of the last tick
+  std::array<std::int32_t, heli::kAxisCount> count_at_reset_{};  // where the counters stood at 0
+  ByteRing<64> arriving_bytes_;                                  // more than a millisecond carries
+  std::size_t leaving_bytes_ = 0;  // bytes written before this millisecond
 };
 
 }  // namespace heli_sim

@@ -216,12 +216,13 @@ def test_the_rate_that_erases_is_left_again_before_the_next_program_opens_the_po
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     ours, theirs = os.openpty()
+    output_speed = 5  # its place in the list of tcgetattr
     rates: list[int] = []
-    monkeypatch.setattr(time, "sleep", lambda _s: rates.append(termios.tcgetattr(theirs)[5]))
+    monkeypatch.setattr(time, "sleep", lambda _s: rates.append(termios.tcgetattr(theirs)[output_speed]))
     try:
         erase_chip(os.ttyname(theirs), wait_s=1.0)
         assert rates == [termios.B1200]
-        assert termios.tcgetattr(theirs)[5] != termios.B1200
+        assert termios.tcgetattr(theirs)[output_speed] != termios.B1200
     finally:
         os.close(ours)
         os.close(theirs)

@@ -133,10 +133,10 @@ class Board(Notes):
         """Bytes on the line."""
         self.core.receive(data)
 
-    def ask(self, kind: Any, *fields: Any) -> None:
+    def ask(self, kind: Any, *fields: Any, **named: Any) -> None:
         """A command with the next request number; its answer counts in the fingerprint."""
         self.request = self.request % 255 + 1
-        self.send(kind(self.request, *fields))
+        self.send(kind(self.request, *fields, **named))
         self.run(3)
 
     def set(self, **values: float) -> None:
@@ -206,10 +206,14 @@ class Board(Notes):
             self.events.append(f"{event.tick} {kind} {event.detail} {event.cause} {event.value:.4g}")
 
 
+LEVEL_DEG = (0.0, 0.0, 0.0)
+"""Setpoints of elevation, pitch and travel."""
+
+
 def take_off(board: Board, elevation_deg: float = 0.0, seconds: float = 3.0) -> None:
     """Arm, close the loops, rise."""
     board.ask(d.ArmMessage)
-    board.ask(d.ControlMessage, 7, 0.0, 0.0)
+    board.ask(d.ControlMessage, axes=7, front_V=0.0, back_V=0.0)
     hover(board, seconds, (elevation_deg, 0.0, 0.0))
 
 

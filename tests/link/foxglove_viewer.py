@@ -12,7 +12,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from heli_host.data.log.schema import EVENT_TOPIC, TICK_TOPIC, parse_layout
@@ -21,6 +21,13 @@ from websockets.sync import client
 
 PATIENCE_S = 60.0
 _DATA = struct.Struct("<BIQ")
+
+
+class Message(NamedTuple):
+    """A message of a channel, and the time at which the feed sent it."""
+
+    time_ns: int
+    body: bytes
 
 
 class Viewer:
@@ -52,15 +59,15 @@ class Viewer:
                 self.waiting += [frame] if isinstance(frame, bytes) else []
         return bool(self.waiting)
 
-    def messages(self, count: int) -> list[tuple[int, bytes]]:
-        """Time [ns] and body of the next messages."""
-        got: list[tuple[int, bytes]] = []
+    def messages(self, count: int) -> list[Message]:
+        """The next messages."""
+        got: list[Message] = []
         while len(got) < count:
             frame = self.waiting.pop() if self.waiting else self.socket.recv(PATIENCE_S)
             if isinstance(frame, bytes):
                 opcode, subscription, time_ns = _DATA.unpack_from(frame)
                 assert (opcode, subscription) == (1, 7)
-                got.append((time_ns, frame[_DATA.size :]))
+                got.append(Message(time_ns, frame[_DATA.size :]))
         return got
 
 
@@ -76,11 +83,11 @@ def main(address: str) -> None:
     with Viewer.of(address) as viewer:
         viewer.subscribe(TICK_TOPIC)
         layout = parse_layout(viewer.channels[TICK_TOPIC]["schema"])
-        bodies = [body for _, body in viewer.messages(1)]
+        bodies = [message.body for message in viewer.messages(1)]
         print("ready", flush=True)
         while not has_ended.is_set():
             if viewer.has_message():
-                bodies += [body for _, body in viewer.messages(1)]
+                bodies += [message.body for message in viewer.messages(1)]
     tick = np.frombuffer(b"".join(body[4:] for body in bodies), layout.dtype)["tick"].astype(np.int64)
     print(len(tick), int((np.diff(tick) - 1).sum()), flush=True)
 

@@ -72,16 +72,18 @@ def test_a_viewer_gets_every_tick_as_the_board_sent_it(heli: Heli) -> None:
         tick, raw = (np.concatenate(parts) for parts in zip(*sent_values, strict=True))
         got = viewer.messages(1)
         first = int(
-            np.frombuffer(got[0][1][4:], parse_layout(viewer.channels[TICK_TOPIC]["schema"]).dtype)["tick"][0]
+            np.frombuffer(got[0].body[4:], parse_layout(viewer.channels[TICK_TOPIC]["schema"]).dtype)["tick"][
+                0
+            ]
         )
         tick, raw = tick[tick >= first], raw[tick >= first]
         got += viewer.messages(tick.size - 1)
     layout = parse_layout(viewer.channels[TICK_TOPIC]["schema"])
-    records = np.frombuffer(b"".join(body[4:] for _, body in got), layout.dtype)
+    records = np.frombuffer(b"".join(message.body[4:] for message in got), layout.dtype)
     np.testing.assert_array_equal(records["tick"], tick)
     assert np.diff(records["tick"]).tolist() == [1] * (tick.size - 1) and tick.size >= 1000
     np.testing.assert_array_equal(raw_ticks(records), raw)
-    assert np.diff([time_ns for time_ns, _ in got]).tolist() == [1_000_000] * (tick.size - 1)
+    assert np.diff([message.time_ns for message in got]).tolist() == [1_000_000] * (tick.size - 1)
     assert {spec.field for spec in CHANNELS} <= set(records.dtype.names or ())
 
 
@@ -98,8 +100,9 @@ def test_a_viewer_gets_events_and_can_do_nothing_but_read(heli: Heli) -> None:
             assert time.monotonic() < end_s, "no event comes"
             heli.zero()
             heli.wait(0.1)
-        ((_, body),) = viewer.messages(1)
-    assert json.loads(body)["name"] == "zeroed" and "zero taken" in json.loads(body)["message"]
+        (message,) = viewer.messages(1)
+    event = json.loads(message.body)
+    assert event["name"] == "zeroed" and "zero taken" in event["message"]
 
 
 def test_the_feed_listens_on_this_computer_only_and_names_a_busy_port(heli: Heli) -> None:

@@ -325,10 +325,12 @@ def test_the_reset_line_stops_the_motors_for_205_ms(image: Image) -> None:
     board = booted(image)
     board.due.poke(image.address("duty"), struct.pack("<4I", 1050, 0, 0, 700))
     board.due.poke(image.address("on"), struct.pack("<I", 1))
-    assert board.run(STILL, [])[2]
+    _, _, are_enabled = board.run(STILL, [])
+    assert are_enabled
     board.reset()
     # The pins are inputs; pull-downs hold the enables.
-    assert not board.run(STILL, [])[2]
+    _, _, are_enabled = board.run(STILL, [])
+    assert not are_enabled
     stand_still(board, 203)
     assert board.due.held_in_reset
     stand_still(board, 3)

@@ -153,6 +153,10 @@ class SerialBoard:
             self.truth.age(self.world.tick)
 
 
+_INPUT_MODES, _LOCAL_MODES = 0, 3
+"""Places in the list of tcgetattr."""
+
+
 class SecondProgram:
     """A program that opens the port of a flight, as modem managers, terminals and colleagues do."""
 
@@ -177,10 +181,9 @@ class SecondProgram:
         with contextlib.suppress(OSError):
             self._fd = os.open(board.endpoint.terminal, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         if kind == CHANGES_SETTINGS and self._fd >= 0:
-            self._settings = termios.tcgetattr(self._fd)
             settings = termios.tcgetattr(self._fd)
-            settings[0] |= termios.ICRNL | termios.IXON
-            settings[3] |= termios.ECHO | termios.ICANON | termios.ISIG
+            settings[_INPUT_MODES] |= termios.ICRNL | termios.IXON
+            settings[_LOCAL_MODES] |= termios.ECHO | termios.ICANON | termios.ISIG
             termios.tcsetattr(self._fd, termios.TCSANOW, settings)
 
     def turn(self) -> None:
@@ -198,7 +201,7 @@ class SecondProgram:
                 self.close()
 
     def close(self) -> None:
-        """End it."""
+        """End it, as a program does that leaves the terminal as it should be."""
         if self._fd < 0:
             return
         if self._kind == CHANGES_SETTINGS:
@@ -236,6 +239,7 @@ class TroubledOs:
         if any(
             trouble.kind == SLOW and trouble.at_s <= now_s < trouble.until_s for trouble in self._troubles
         ):
+            # 40 bytes per 4 ms: less than half of what the board sends.
             time.sleep(0.004)
             size = min(size, 40)
         return os.read(fd, size)

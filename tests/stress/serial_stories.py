@@ -17,9 +17,10 @@ import signal
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from heli_host.data.log.reader import read_log
@@ -133,57 +134,80 @@ def live(which: Story, folder: Path, speed: float = SPEED) -> Lived:
         board.close()
 
 
+class _Ending(NamedTuple):
+    """When something outside of the host ends: a second program, or without one the host's suspension."""
+
+    at_s: float
+    program: SecondProgram | None
+
+
+class _Outside:
+    """What happens to host and cable from outside, at its time: suspensions, unplugging, second programs."""
+
+    def __init__(self, troubles: Iterable[Trouble], host: Host, board: SerialBoard) -> None:
+        self.programs: list[SecondProgram] = []
+        self._to_come = [trouble for trouble in troubles if trouble.kind in (SUSPENDED, UNPLUGGED, *PROGRAMS)]
+        self._endings: list[_Ending] = []
+        self._host, self._board = host, board
+
+    def turn(self) -> None:
+        """Begin and end what is due."""
+        now_s = self._board.time_s
+        while self._to_come and self._to_come[0].at_s <= now_s:
+            self._begin(self._to_come.pop(0))
+        for ending in [ending for ending in self._endings if ending.at_s <= now_s]:
+            self._endings.remove(ending)
+            if ending.program is not None:
+                ending.program.close()
+            elif not any(other.program is None for other in self._endings):
+                os.kill(self._host.pid, signal.SIGCONT)
+        for program in self.programs:
+            program.turn()
+
+    def _begin(self, trouble: Trouble) -> None:
+        end_s = self._board.time_s + trouble.duration_s
+        if trouble.kind == SUSPENDED:
+            os.kill(self._host.pid, signal.SIGSTOP)
+            self._endings.append(_Ending(end_s, program=None))
+        elif trouble.kind == UNPLUGGED:
+            self._board.unplug(trouble.duration_s)
+        else:
+            self.programs.append(SecondProgram(trouble.kind, self._board))
+            self._endings.append(_Ending(end_s, self.programs[-1]))
+
+
 def _live(which: Story, folder: Path, board: SerialBoard, speed: float) -> Lived:
-    inside = [
+    in_the_host = [
         PortTrouble(trouble.kind, trouble.at_s / speed, (trouble.at_s + trouble.duration_s) / speed)
         for trouble in which.troubles
         if trouble.kind in (SLOW, READ_FAILS, WRITE_FAILS, CUT_WRITE)
     ]
     cuts_s = [trouble.duration_s for trouble in which.troubles if trouble.kind == CUT_WRITE]
-    outside = [trouble for trouble in which.troubles if trouble.kind in (SUSPENDED, UNPLUGGED, *PROGRAMS)]
     words = ["fly", "short.toml", "--port", "due", "--log", "a.mcap", "--json", "a.json"]
-    host = start_host(words, folder, inside)
+    host = start_host(words, folder, in_the_host)
+    outside = _Outside(which.troubles, host, board)
     lived = Lived(which.number, kinds=[trouble.kind for trouble in which.troubles])
-    acts: list[tuple[float, SecondProgram | None]] = []
-    second: list[SecondProgram] = []
     give_up_s = time.monotonic() + _PATIENCE_S
     try:
         while (code := _ended(host)) is None:
             board.turn()
-            now_s = board.time_s
+            # A write that is cut asks for the cable to be taken out, and waits for the answer.
             with contextlib.suppress(BlockingIOError):
                 if os.read(host.asks, 1):
                     board.unplug(cuts_s.pop(0))
                     os.write(host.answers, b"x")
-            while outside and outside[0].at_s <= now_s:
-                trouble = outside.pop(0)
-                if trouble.kind == SUSPENDED:
-                    os.kill(host.pid, signal.SIGSTOP)
-                    acts.append((now_s + trouble.duration_s, None))
-                elif trouble.kind == UNPLUGGED:
-                    board.unplug(trouble.duration_s)
-                else:
-                    second.append(SecondProgram(trouble.kind, board))
-                    acts.append((now_s + trouble.duration_s, second[-1]))
-            for end_s, program in [act for act in acts if act[0] <= now_s]:
-                acts.remove((end_s, program))
-                if program is not None:
-                    program.close()
-                elif not any(other is None for _, other in acts):
-                    os.kill(host.pid, signal.SIGCONT)
-            for program in second:
-                program.turn()
+            outside.turn()
             if time.monotonic() > give_up_s:
                 break
         else:
             lived.code = code
     finally:
-        for program in second:
+        for program in outside.programs:
             program.close()
         _end(host, lived.code)
     if board.truth.last_on_tick >= board.world.tick - 50:
         board.alone(_LEFT_ALONE_S)
-    _judge(which, lived, board, second, folder)
+    _judge(which, lived, board, outside.programs, folder)
     return lived
 
 

@@ -1,6 +1,9 @@
 // What all encodings share: branches, literals, shifts, and their place in the cycle model.
 #include "cpu/decoder.hpp"
 
+#include <array>
+#include <utility>
+
 namespace due_emulator {
 
 using ops::Alu;
@@ -79,62 +82,22 @@ void Decoder::branch_to(std::uint32_t target, bool link) {
   }
 }
 
-// The handler of B<c> for a condition that is known at compile time, so that it needs no switch.
-template <unsigned kCondition>
-static Handler conditional_branch(bool is_near) {
-  return is_near ? &ops::branch_if<kCondition, true> : &ops::branch_if<kCondition, false>;
+// The handlers of B<c> by condition. Each condition has a handler of its own, which needs no
+// switch.
+template <bool kNear, std::size_t... kConditions>
+static constexpr std::array<Handler, sizeof...(kConditions)> branches_of(
+    std::index_sequence<kConditions...>) {
+  return {&ops::branch_if<kConditions, kNear>...};
 }
 
-// Each condition has its own handler. Conditional branches are not allowed in an IT block.
+// Conditional branches are not allowed in an IT block. Conditions 14 and 15 are other instructions.
 void Decoder::branch_to_if(std::uint32_t condition, std::uint32_t target) {
+  constexpr auto kNearBranches = branches_of<true>(std::make_index_sequence<14>{});
+  constexpr auto kFarBranches = branches_of<false>(std::make_index_sequence<14>{});
   if (in_it()) return undefined();
   set_target(target);
   extra(taken_cycles(target));
-  const bool is_near = near(target);
-  switch (condition) {
-    case 0:
-      out_.run = conditional_branch<0>(is_near);
-      return;
-    case 1:
-      out_.run = conditional_branch<1>(is_near);
-      return;
-    case 2:
-      out_.run = conditional_branch<2>(is_near);
-      return;
-    case 3:
-      out_.run = conditional_branch<3>(is_near);
-      return;
-    case 4:
-      out_.run = conditional_branch<4>(is_near);
-      return;
-    case 5:
-      out_.run = conditional_branch<5>(is_near);
-      return;
-    case 6:
-      out_.run = conditional_branch<6>(is_near);
-      return;
-    case 7:
-      out_.run = conditional_branch<7>(is_near);
-      return;
-    case 8:
-      out_.run = conditional_branch<8>(is_near);
-      return;
-    case 9:
-      out_.run = conditional_branch<9>(is_near);
-      return;
-    case 10:
-      out_.run = conditional_branch<10>(is_near);
-      return;
-    case 11:
-      out_.run = conditional_branch<11>(is_near);
-      return;
-    case 12:
-      out_.run = conditional_branch<12>(is_near);
-      return;
-    default:
-      out_.run = conditional_branch<13>(is_near);
-      return;
-  }
+  out_.run = near(target) ? kNearBranches[condition] : kFarBranches[condition];
 }
 
 // DecodeImmShift (A7.4.2): an amount of 0 means none for LSL, 32 for LSR and ASR, and RRX for ROR.
