@@ -62,11 +62,11 @@ class Flight:
         self.heli: Heli = self.board.connect()
 
     def tick_cost(self) -> ExceptionStats:
-        """What the ticks cost so far."""
+        """Count the ticks so far and their instructions."""
         return self.board.due.exception_stats(TICK_INTERRUPT)
 
     def function_cost(self, probe: str) -> ProbeStats:
-        """What the calls of a probed function cost so far."""
+        """Count the calls of a probed function so far and their instructions."""
         return self.board.due.probe(self.addresses[probe])
 
     def sweep(self, seconds: float, max_deg: float = 5.0) -> None:

@@ -519,7 +519,7 @@ def store(board: Board, address: int, value: int) -> None:
 
 
 class FaultRecord(NamedTuple):
-    """What the board keeps of a fault over a reset, in the order of its backup registers."""
+    """The record of a fault that outlasts a reset, in the order of the backup registers."""
 
     record: int
     pc: int

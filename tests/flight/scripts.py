@@ -133,7 +133,7 @@ class Board(Notes):
         """Bytes on the line."""
         self.core.receive(data)
 
-    def ask(self, kind: Any, *fields: Any, **named: Any) -> None:
+    def ask(self, kind: Any, /, *fields: Any, **named: Any) -> None:
         """A command with the next request number; its answer counts in the fingerprint."""
         self.request = self.request % 255 + 1
         self.send(kind(self.request, *fields, **named))

@@ -258,7 +258,7 @@ class _Source:
         )
 
     def _changes(self, index: int) -> Iterator[_Change]:
-        """What can be changed at a token."""
+        """Yield the changes at a token."""
         if index in self._skipped:
             return
         token = self._tokens[index]

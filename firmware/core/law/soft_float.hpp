@@ -142,8 +142,8 @@ constexpr Bits divide(Bits a, Bits b) {
     remainder <<= 1U;
     --exponent;
   }
-  // The quotient is from 1 to 2. Behind its leading 1, three times 8 bits and once 7 make 32 bits. A
-  // remainder has 24 bits, so that 8 more is what one division of 32 bits can give.
+  // The quotient is from 1 to 2. Behind its leading 1, three times 8 bits and once 7 make 32 bits.
+  // A remainder has 24 bits, so that 8 more is what one division of 32 bits can give.
   remainder -= divisor;
   std::uint32_t quotient = 1U;
   for (int step = 0; step < 3; ++step) {
