@@ -102,7 +102,7 @@ def test_encoders_count_alike_and_a_before_b_is_up(board: Board, heli: Heli) -> 
     heli.wait(0.05)
     before = counted(heli)
     start_us = board.due.now_us
-    counts = {0: 500, 1: -400, 2: 300}
+    counts = {Axis.ELEVATION: 500, Axis.PITCH: -400, Axis.TRAVEL: 300}
     for k in range(max(map(abs, counts.values()))):
         for axis, count in counts.items():
             if k < abs(count):
@@ -118,7 +118,7 @@ def test_no_travel_edge_is_lost_at_200000_a_second(board: Board, heli: Heli) -> 
     for k in range(edges):
         board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=start_us + 10.0 + 5.0 * k)
     heli.wait(0.05)
-    assert counted(heli)[2] == edges
+    assert counted(heli)[Axis.TRAVEL] == edges
     assert heli.session.status().illegal_travel == 0
     handler = board.due.exception_stats(TRAVEL_INTERRUPT)
     assert handler.count == edges
@@ -130,12 +130,12 @@ def test_no_travel_edge_is_lost_while_the_law_flies(board: Board) -> None:
 
 
 def test_illegal_transitions_are_counted_on_every_encoder(board: Board, heli: Heli) -> None:
-    board.due.glitch_encoder(0)
+    board.due.glitch_encoder(Axis.ELEVATION)
     for _ in range(2):
-        board.due.glitch_encoder(1)
+        board.due.glitch_encoder(Axis.PITCH)
         board.advance(2)
     for _ in range(3):
-        board.due.glitch_encoder(2)
+        board.due.glitch_encoder(Axis.TRAVEL)
         board.advance(1)
     status = heli.session.status()
     assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (1, 2, 3)
@@ -143,7 +143,9 @@ def test_illegal_transitions_are_counted_on_every_encoder(board: Board, heli: He
 
 @pytest.mark.parametrize("axis", range(3))
 def test_illegal_transitions_are_counted_beyond_16_bits(board: Board, heli: Heli, axis: int) -> None:
-    place = board.image.symbols[TRAVEL_ILLEGAL if axis == 2 else DECODER_ERRORS] + 4 * (axis == 1)
+    place = board.image.symbols[TRAVEL_ILLEGAL if axis == Axis.TRAVEL else DECODER_ERRORS]
+    place += 4 * (axis == Axis.PITCH)
+    # Two below what the 16 bits of the status hold.
     board.due.poke(place, struct.pack("<I", 0xFFFD))
     heli.wait(0.05)
     heli.arm()
@@ -360,7 +362,7 @@ def test_where_the_travel_encoder_stands_at_the_start_is_its_zero(
 ) -> None:
     board = Board(elf, image)
     board.cut_power()
-    board.due.set_encoder(2, steps)
+    board.due.set_encoder(Axis.TRAVEL, steps)
     board.restore_power()
     board.advance(20)
     board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=board.due.now_us + 10.0)
@@ -424,7 +426,7 @@ def test_stopping_takes_the_outputs_low_at_once_and_not_at_the_end_of_their_peri
 ) -> None:
     open_loop(heli, front_V=9.5, back_V=9.5)
     for _ in range(6):
-        board.due.glitch_encoder(2)
+        board.due.glitch_encoder(Axis.TRAVEL)
         board.due.run_us(5.0)
     board.milliseconds_until_off(step_us=1.0, max_ms=2.0)
     board.due.run_us(2.0)

@@ -11,6 +11,8 @@ from heli_host.link.telemetry import TelemetryDecoder, Ticks
 from heli_test_native import flight
 
 ELEVATION, PITCH, TRAVEL = d.Axis
+ALL_AXES, NO_AXES = d.Axes.ELEVATION | d.Axes.PITCH | d.Axes.TRAVEL, d.Axes(0)
+WITHOUT_TRAVEL = d.Axes.ELEVATION | d.Axes.PITCH
 REST_DEG = -25.0
 DUTY_FULL = 2100
 """Full duty of the Due, in counts."""
@@ -123,7 +125,7 @@ class Harness:
     def arm(self) -> Any:
         return self.ask(d.ArmMessage(0))
 
-    def close_loops(self, axes: int = 7) -> Any:
+    def close_loops(self, axes: int = ALL_AXES) -> Any:
         return self.ask(d.ControlMessage(request=0, axes=axes, front_V=0.0, back_V=0.0))
 
     def fly(self) -> None:

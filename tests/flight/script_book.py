@@ -18,6 +18,7 @@ from heli_test_native import control
 from heli_test_native import law as native_law
 from heli_test_native import link as core_link
 
+from tests.flight.harness import NO_AXES, WITHOUT_TRAVEL
 from tests.flight.scripts import LEVEL_DEG, Board, Laws, Notes, hover, land, take_off, values_at_edges, wander
 
 _SUM: Final = next(operation.code for operation in d.OPERATIONS if operation.name == "sum_of_products")
@@ -178,7 +179,7 @@ def parameters_in_flash(notes: Notes, _laws: Any) -> None:
         )
         for _ in range(5):
             spec = chance.choice(d.PARAMS)
-            params.set(spec.index, chance.uniform(spec.min, spec.max), True)
+            params.set(spec.index, chance.uniform(spec.min, spec.max), idle=True)
         board.steps_left = chance.choice((None, chance.randrange(2100), 1024, 1023, 512))
         store.save(params)
         board.steps_left = None
@@ -353,7 +354,7 @@ def moved_by_hand(board: Board, _laws: Laws) -> None:
     # Counts beyond the limits of the angles, slowly, then fewer of them beyond the limits of the rates.
     for axis, jump in ((0, 560), (1, 515), (2, 2010), (0, 40), (1, 120), (2, 60)):
         board.ask(d.ArmMessage)
-        board.ask(d.ControlMessage, axes=0, front_V=0.5, back_V=0.5)
+        board.ask(d.ControlMessage, axes=NO_AXES, front_V=0.5, back_V=0.5)
         board.run(20)
         for _ in range(20):
             board.shift[axis] += jump // 20
@@ -377,7 +378,7 @@ def moved_by_hand(board: Board, _laws: Laws) -> None:
         board.late = True
         board.run(late_ticks)
         board.late = False
-        board.ask(d.ControlMessage, axes=0, front_V=0.2, back_V=0.2)
+        board.ask(d.ControlMessage, axes=NO_AXES, front_V=0.2, back_V=0.2)
     board.ask(d.ClearFaultMessage)
     for stop in (True, False):
         board.ask(d.ArmMessage)
@@ -572,7 +573,7 @@ def host_stops(board: Board, _laws: Laws) -> None:
     board.run(9000)
     for ticks in (5, 700, 2600):
         board.ask(d.ArmMessage)
-        board.ask(d.ControlMessage, axes=3, front_V=1.0, back_V=1.0)
+        board.ask(d.ControlMessage, axes=WITHOUT_TRAVEL, front_V=1.0, back_V=1.0)
         hover(board, 1.0, target_deg=(-5.0, 4.0, 0.0))
         board.run(ticks)
         board.ask(d.StopMessage)
@@ -580,7 +581,7 @@ def host_stops(board: Board, _laws: Laws) -> None:
     board.ask(d.ArmMessage)
     board.run(3000)
     board.ask(d.ArmMessage)
-    board.ask(d.ControlMessage, axes=0, front_V=1.5, back_V=1.6)
+    board.ask(d.ControlMessage, axes=NO_AXES, front_V=1.5, back_V=1.6)
     board.run(6000)
 
 
@@ -657,7 +658,7 @@ def law_rests(board: Board, laws: Laws) -> None:
     hover(board, 10.0, LEVEL_DEG)
     board.ask(d.LawFlyMessage, on=0)
     hover(board, 6.0, LEVEL_DEG)
-    board.ask(d.ControlMessage, axes=3, front_V=0.0, back_V=0.0)
+    board.ask(d.ControlMessage, axes=WITHOUT_TRAVEL, front_V=0.0, back_V=0.0)
     hover(board, 4.0, target_deg=(0.0, 2.0, 0.0))
 
 

@@ -18,6 +18,8 @@ from heli_host.board.law_flight import PART_WORDS
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_test_native import flight
 
+from tests.flight.harness import ALL_AXES
+
 DEFAULT: Final = {spec.name: spec.default for spec in d.PARAMS}
 INDEX: Final = {spec.name: spec.index for spec in d.PARAMS}
 WINDOW_ms: Final = 500
@@ -213,7 +215,7 @@ LEVEL_DEG = (0.0, 0.0, 0.0)
 def take_off(board: Board, elevation_deg: float = 0.0, seconds: float = 3.0) -> None:
     """Arm, close the loops, rise."""
     board.ask(d.ArmMessage)
-    board.ask(d.ControlMessage, axes=7, front_V=0.0, back_V=0.0)
+    board.ask(d.ControlMessage, axes=ALL_AXES, front_V=0.0, back_V=0.0)
     hover(board, seconds, (elevation_deg, 0.0, 0.0))
 
 

@@ -10,7 +10,17 @@ from heli_host import declaration as d
 from heli_host.declaration import Event, Fault, ParamsSource, Result, State, Trigger
 from heli_test_native import link
 
-from tests.flight.harness import DUTY_FULL, ELEVATION, PAGE_BYTES, PITCH, REST_DEG, TRAVEL, Harness
+from tests.flight.harness import (
+    DUTY_FULL,
+    ELEVATION,
+    NO_AXES,
+    PAGE_BYTES,
+    PITCH,
+    REST_DEG,
+    TRAVEL,
+    WITHOUT_TRAVEL,
+    Harness,
+)
 from tests.flight.test_tracking import (
     COUNT_DEG,
     board_in_level_flight,
@@ -48,7 +58,7 @@ def drive(
 
 @pytest.mark.parametrize(("low", "high", "moves"), [(-1, 0, False), (-2, 2, True), (-1, 1, True)])
 def test_motion_is_more_than_a_count_on_either_side_of_zero(low: int, high: int, moves: bool) -> None:
-    harness = board_in_level_flight(axes=3)
+    harness = board_in_level_flight(axes=WITHOUT_TRAVEL)
     hover(harness, 1000)
     for k in range(1500):
         if k % 20 == 0:
@@ -86,7 +96,7 @@ def test_what_a_bench_drove_already_is_no_change_of_drive() -> None:
     harness = Harness(tracked=True)
     harness.set("elevation_motion_V", 10.0)
     harness.arm()
-    harness.ask(d.ControlMessage(request=0, axes=0, front_V=DEAD_V + 1.0, back_V=0.0))
+    harness.ask(d.ControlMessage(request=0, axes=NO_AXES, front_V=DEAD_V + 1.0, back_V=0.0))
     for _ in range(10):
         harness.ping()
         harness.tick(100)
@@ -192,7 +202,7 @@ def test_no_duty_is_beyond_full(duty_full: int) -> None:
 
 def saved(board: link.Board, hover_V: float) -> bool:
     params = link.Params()
-    params.set(HOVER, hover_V, True)
+    params.set(HOVER, hover_V, idle=True)
     return link.Store(board).save(params)
 
 

@@ -15,7 +15,17 @@ from heli_host.link.channels import physical
 from heli_test_native import flight
 from heli_test_native.flight import ToldLaw, fault_before_arming
 
-from tests.flight.harness import DUTY_FULL, ELEVATION, PITCH, REST_DEG, TRAVEL, Harness
+from tests.flight.harness import (
+    ALL_AXES,
+    DUTY_FULL,
+    ELEVATION,
+    NO_AXES,
+    PITCH,
+    REST_DEG,
+    TRAVEL,
+    WITHOUT_TRAVEL,
+    Harness,
+)
 
 # The table as docs and README promise it, written a second time: (from, trigger) -> to.
 PROMISED = {
@@ -221,7 +231,8 @@ def test_setpoint_loss_holds_level_after_half_a_second_then_lands_after_two_then
 ) -> None:
     flying.glide(ELEVATION, to_deg=0, deg_s=20)
     flying.keep_flying(2000)
-    # The last setpoint was taken 20 ticks before keep_flying ended.
+    # The last setpoint was taken 20 ticks before keep_flying ended. Without another one the board holds after
+    # setpoint_hold_s, 0.5 s, and lands after setpoint_land_s, 2 s.
     flying.tick(470)
     assert flying.state is State.CLOSED_LOOP
     flying.tick(20)
@@ -276,12 +287,12 @@ def test_telemetry_reports_a_trip_and_its_clearing(flying: Harness) -> None:
 
 
 def test_a_setpoint_that_comes_back_ends_the_hold_but_not_a_landing(flying: Harness) -> None:
-    flying.tick(600)
+    flying.tick(600)  # longer than setpoint_hold_s
     assert flying.state is State.HOLD
     flying.keep_flying(40, elevation_deg=REST_DEG)
     assert flying.state is State.CLOSED_LOOP
     flying.glide(ELEVATION, to_deg=-10, deg_s=20)
-    flying.tick(2100)
+    flying.tick(2100)  # longer than setpoint_land_s
     assert flying.state is State.LANDING
     flying.keep_flying(40)
     assert flying.state is State.LANDING
@@ -303,18 +314,19 @@ def test_an_arm_that_rests_elsewhere_than_before_take_off_has_not_landed(
 def test_an_elevation_below_the_table_is_landed_without_its_encoder(flying: Harness) -> None:
     flying.glide(ELEVATION, to_deg=-5, deg_s=60)
     flying.keep_flying(600, elevation_deg=-5.0)
+    # The limit is 3 degrees below the rest: the tolerance of arming, and one for the table.
     flying.glide(ELEVATION, to_deg=REST_DEG - 2.9, deg_s=60)
     assert flying.state is State.CLOSED_LOOP
     flying.glide(ELEVATION, to_deg=REST_DEG - 3.2, deg_s=60)
     assert flying.last_event(Event.FAULT).detail == Fault.ELEVATION_BELOW_TABLE
     assert flying.state is State.EMERGENCY_LANDING
-    flying.tick(18_100)
+    flying.tick(18_100)  # longer than the blind descent, 18 s
     assert flying.state is State.FAULT and flying.motors_off
 
 
 def test_on_a_bench_a_person_may_move_the_arm_anywhere(harness: Harness) -> None:
     harness.arm()
-    harness.ask(d.ControlMessage(request=0, axes=0, front_V=1.5, back_V=1.5))
+    harness.ask(d.ControlMessage(request=0, axes=NO_AXES, front_V=1.5, back_V=1.5))
     for k in range(50):
         harness.glide(ELEVATION, to_deg=REST_DEG - 0.1 * k, deg_s=20)
         harness.ping()
@@ -362,7 +374,7 @@ def test_a_step_that_no_arm_makes_is_landed_without_its_axis(flying: Harness, ax
     allowed = STEP_MAX_COUNTS[axis]
     for counts, state in ((allowed, State.CLOSED_LOOP), (allowed + 1, State.EMERGENCY_LANDING)):
         flying.angles_deg[axis] += sign * counts * count_deg
-        flying.move(flying.angles_deg[0])
+        flying.move(flying.angles_deg[ELEVATION])
         flying.tick(4)
         assert flying.state is state
         flying.keep_flying(100, elevation_deg=-5.0)
@@ -373,11 +385,11 @@ def test_a_step_that_no_arm_makes_is_landed_without_its_axis(flying: Harness, ax
 def test_after_a_step_nothing_is_armed_until_the_axis_is_zeroed(harness: Harness, axis: int) -> None:
     """A plug that was loose before the flight: its reading is wrong by what it missed."""
     harness.angles_deg[axis] += 1.9 if axis != 1 else 4.0
-    harness.move(harness.angles_deg[0])
+    harness.move(harness.angles_deg[ELEVATION])
     harness.tick(500)
     harness.ping()
     refused_with(harness, STEPS[axis])
-    assert harness.ask(d.ZeroMessage(request=0, axes=7 & ~(1 << axis))).result == Result.OK
+    assert harness.ask(d.ZeroMessage(request=0, axes=ALL_AXES & ~(1 << axis))).result == Result.OK
     refused_with(harness, STEPS[axis])
     assert harness.ask(d.ZeroMessage(request=0, axes=1 << axis)).result == Result.OK
     harness.tick(500)
@@ -389,7 +401,7 @@ def test_a_new_sign_a_new_rest_and_a_new_zero_are_no_steps(harness: Harness) -> 
     harness.glide(TRAVEL, to_deg=60, deg_s=100.0)
     harness.set("travel_counts_per_rev", -4096)
     harness.set("elevation_rest_deg", -20)
-    harness.ask(d.ZeroMessage(request=0, axes=7))
+    harness.ask(d.ZeroMessage(request=0, axes=ALL_AXES))
     harness.tick(500)
     harness.ping()
     assert harness.arm().result == Result.OK
@@ -420,7 +432,7 @@ def test_stop_works_from_every_state_that_has_motors() -> None:
 
     def open_loop(harness: Harness) -> None:
         harness.arm()
-        harness.ask(d.ControlMessage(request=0, axes=0, front_V=1.5, back_V=1.5))
+        harness.ask(d.ControlMessage(request=0, axes=NO_AXES, front_V=1.5, back_V=1.5))
 
     def hold(harness: Harness) -> None:
         harness.fly()
@@ -447,7 +459,7 @@ def test_streamed_voltage_acts_for_its_time_only_then_the_board_holds_by_itself(
     for _ in range(100):
         harness.send(d.VoltagesMessage(front_V=2.0, back_V=1.5, valid_ms=50))
         harness.tick(10)
-    assert harness.motors[:2] == (350, 263)  # 2100 / 12 V
+    assert harness.motors[:2] == (350, 263)  # counts: 2.0 V and 1.5 V of 12 V, times 2100
     harness.send(d.VoltagesMessage(front_V=2.0, back_V=1.5, valid_ms=50))
     harness.tick(48)
     assert harness.state is State.STREAMED
@@ -470,7 +482,7 @@ def test_a_streamed_voltage_acts_for_its_time_or_the_longest_allowed(
 
 def test_open_loop_without_a_living_link_cuts_the_motors(harness: Harness) -> None:
     harness.arm()
-    harness.ask(d.ControlMessage(request=0, axes=0, front_V=1.5, back_V=1.5))
+    harness.ask(d.ControlMessage(request=0, axes=NO_AXES, front_V=1.5, back_V=1.5))
     harness.tick(480)
     assert harness.state is State.OPEN_LOOP
     harness.tick(40)
@@ -547,7 +559,7 @@ def test_excitation_outside_its_bounds_is_refused_by_field(
     harness: Harness, changes: dict[str, Any], refused: str
 ) -> None:
     harness.arm()
-    harness.ask(d.ControlMessage(request=0, axes=0, front_V=1.5, back_V=1.5))
+    harness.ask(d.ControlMessage(request=0, axes=NO_AXES, front_V=1.5, back_V=1.5))
     reply = harness.ask(dataclasses.replace(EXCITATION, **changes))
     place_on_the_wire = [field.name for field in dataclasses.fields(EXCITATION)].index(refused)
     assert (reply.result, reply.detail) == (Result.BAD_VALUE, place_on_the_wire)
@@ -555,7 +567,7 @@ def test_excitation_outside_its_bounds_is_refused_by_field(
 
 def test_excitation_adds_to_the_voltages_and_ends_by_itself(harness: Harness) -> None:
     harness.arm()
-    harness.ask(d.ControlMessage(request=0, axes=0, front_V=3.0, back_V=3.0))
+    harness.ask(d.ControlMessage(request=0, axes=NO_AXES, front_V=3.0, back_V=3.0))
     for _ in range(10):
         harness.tick(300)
         harness.ping()
@@ -608,7 +620,11 @@ def test_unsafe_parameters_are_refused_in_flight_and_gains_are_not(flying: Harne
 
 
 def test_zero_and_save_are_refused_in_flight(flying: Harness) -> None:
-    for message in (d.ZeroMessage(request=0, axes=7), d.ParamsSaveMessage(0), d.ParamsDefaultMessage(0)):
+    for message in (
+        d.ZeroMessage(request=0, axes=ALL_AXES),
+        d.ParamsSaveMessage(0),
+        d.ParamsDefaultMessage(0),
+    ):
         assert flying.ask(message).result == Result.BAD_STATE
 
 
@@ -667,9 +683,9 @@ def land_without_travel(harness: Harness) -> None:
 
 
 def test_more_late_ticks_since_arming_than_allowed_cut_the_motors(harness: Harness) -> None:
-    harness.tick(7, late=True)
+    harness.tick(7, late=True)  # before arming, where they do not count
     harness.fly()
-    harness.tick(10, late=True)
+    harness.tick(10, late=True)  # overrun_max
     assert harness.state is State.CLOSED_LOOP
     harness.tick(10, late=True)
     harness.tick(2)
@@ -709,14 +725,14 @@ def test_an_axis_that_is_held_already_keeps_its_setpoint_when_its_loop_is_asked_
     law = ToldLaw()
     harness = Harness(law=law)
     harness.arm()
-    harness.close_loops(3)
+    harness.close_loops(WITHOUT_TRAVEL)
     harness.tick(600)
     assert harness.state is State.HOLD
     harness.glide(TRAVEL, to_deg=5.0, deg_s=20.0)
-    harness.close_loops(7)
+    harness.close_loops(ALL_AXES)
     harness.tick(2)
     assert harness.state is State.CLOSED_LOOP
-    assert math.degrees(law.setpoint_rad[2]) == pytest.approx(0.0, abs=0.1)
+    assert math.degrees(law.setpoint_rad[TRAVEL]) == pytest.approx(0.0, abs=0.1)
 
 
 def test_a_setpoint_too_late_for_a_landing_is_no_fault(flying: Harness) -> None:

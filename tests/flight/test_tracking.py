@@ -11,13 +11,22 @@ import pytest
 from heli_host.declaration import CHANNELS, Channel, Event, Fault, Probe, Result, State, Trigger
 from heli_host.link.telemetry import TelemetryDecoder
 
-from tests.flight.harness import DUTY_FULL, ELEVATION, PITCH, TRAVEL, Harness
+from tests.flight.harness import (
+    ALL_AXES,
+    DUTY_FULL,
+    ELEVATION,
+    NO_AXES,
+    PITCH,
+    TRAVEL,
+    WITHOUT_TRAVEL,
+    Harness,
+)
 
 COUNT_DEG = 360.0 / 4096.0
 SUPPLY_V, DEAD_ZONE_V = 12.0, 1.0
 
 
-def board_in_level_flight(*, axes: int = 7, **parameters: float) -> Harness:
+def board_in_level_flight(*, axes: int = ALL_AXES, **parameters: float) -> Harness:
     """A board that flies level, its arm moving a little all the time on every axis."""
     harness = Harness(tracked=True)
     for name, value in parameters.items():
@@ -105,7 +114,7 @@ def test_an_arm_on_the_table_may_rest_while_the_motors_push_too_little() -> None
 
 @pytest.mark.parametrize("still", [(), (PITCH,)], ids=["counting", "silent"])
 def test_a_pitch_that_is_driven_and_does_not_count_is_landed_without_it(still: tuple[int, ...]) -> None:
-    harness = board_in_level_flight(axes=3)
+    harness = board_in_level_flight(axes=WITHOUT_TRAVEL)
     hover(harness, 1000)
     hover(harness, 1500, still=still, pitch_deg=12.0)
     assert harness.state is (State.EMERGENCY_LANDING if still else State.CLOSED_LOOP)
@@ -119,7 +128,7 @@ def test_a_pitch_that_is_driven_and_does_not_count_is_landed_without_it(still: t
 
 @pytest.mark.parametrize("step_counts", [1, 2])
 def test_a_single_count_to_and_fro_is_no_motion(step_counts: int) -> None:
-    harness = board_in_level_flight(axes=3)
+    harness = board_in_level_flight(axes=WITHOUT_TRAVEL)
     hover(harness, 1000)
     for k in range(1500):
         if k % 20 == 0:
@@ -226,7 +235,7 @@ def test_an_axis_that_stays_away_from_its_setpoint_is_a_following_error(
     axis: int, away_deg: float, fault: Fault, ends: State
 ) -> None:
     # Else a pitch that the test turns against the voltages would have the wrong sign.
-    harness = board_in_level_flight(axes=3 if axis == PITCH else 7, pitch_motion_V=48.0)
+    harness = board_in_level_flight(axes=WITHOUT_TRAVEL if axis == PITCH else 7, pitch_motion_V=48.0)
     # Else pitch, which the test holds, would not be where travel asks for it.
     for gain in ("travel_kp", "travel_ki", "travel_kd"):
         harness.set(gain, 0.0)
@@ -242,12 +251,12 @@ def test_an_axis_that_stays_away_from_its_setpoint_is_a_following_error(
 def test_nothing_of_this_applies_to_a_bench_in_open_loop_nor_to_an_axis_that_is_open() -> None:
     bench = Harness(tracked=True)
     bench.arm()
-    bench.ask(d.ControlMessage(request=0, axes=0, front_V=6.0, back_V=4.0))
+    bench.ask(d.ControlMessage(request=0, axes=NO_AXES, front_V=6.0, back_V=4.0))
     for _ in range(30):
         bench.ping()
         bench.tick(100)
     assert bench.state is State.OPEN_LOOP
-    tilted = board_in_level_flight(axes=3, pitch_motion_V=48.0)
+    tilted = board_in_level_flight(axes=WITHOUT_TRAVEL, pitch_motion_V=48.0)
     tilted.glide(PITCH, to_deg=10.0, deg_s=60.0)
     hover(tilted, 3000, still=(TRAVEL,), pitch_deg=10.0)
     assert tilted.state is State.CLOSED_LOOP

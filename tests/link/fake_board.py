@@ -59,22 +59,26 @@ class FakeBoard:
         self.answers_hello = True
         self.open = False
         self.executed: list[bytes] = []
+        # Results, details and values with which it refuses commands, by message.
         self.refusals: dict[int, tuple[Result, int, float]] = {}
         self.lose_replies = 0
         self.repeat_replies = 0
         self.silent = False
+        # Each frame of the host, with the tick of its arrival.
         self.heard: list[tuple[int, Frame]] = []
         self._parser = FrameParser()
         self._seq = 0
         self._session: int | None = None
-        self._memory: tuple[bytes, bytes] | None = None
+        # A repeated command gets the answer that it got.
+        self._last_command: bytes | None = None
+        self._last_answer = b""
         self._batch: list[list[int]] = []
         self._out = bytearray()
 
     def reboot(self) -> None:
         """Start again, as after a reset."""
         self.tick, self.boot_id, self.state = 0, self.boot_id + 1, State.IDLE
-        self.open, self._session, self._memory, self._seq = False, None, None, 0
+        self.open, self._session, self._last_command, self._seq = False, None, None, 0
         self._batch.clear()
         self.event(link.Event.BOOT, int(link.Reset.WATCHDOG), self.boot_id)
 
@@ -159,7 +163,7 @@ class FakeBoard:
             return
         self.open = hello.link_hash == self.link_hash
         if hello.session != self._session:
-            self._session, self._memory = hello.session, None
+            self._session, self._last_command = hello.session, None
         result = Result.OK if self.open else Result.HASH_MISMATCH
         self.send(
             link.WelcomeMessage(
@@ -181,15 +185,15 @@ class FakeBoard:
         )
 
     def _execute_once(self, frame: Frame) -> None:
-        request = bytes([frame.id]) + frame.payload
-        if self._memory is None or self._memory[0] != request:
-            self._memory = (request, self._execute(frame))
+        command = bytes([frame.id]) + frame.payload
+        if self._last_command != command:
+            self._last_command, self._last_answer = command, self._execute(frame)
         if self.lose_replies:
             self.lose_replies -= 1
             return
         for _ in range(1 + self.repeat_replies):
             self._seq = (self._seq + 1) % 256
-            self._out += reference.frame(MessageId.ACK, self._seq, self._memory[1])
+            self._out += reference.frame(MessageId.ACK, self._seq, self._last_answer)
 
     def _execute(self, frame: Frame) -> bytes:
         request = frame.payload[0]

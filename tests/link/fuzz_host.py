@@ -96,20 +96,22 @@ class Frames:
         chance = self._random
         count = chance.randrange(1, 33)
         codes = [chance.choice((0, 0, 0, 1, 2, 3, 4, chance.randrange(16))) for _ in CHANNELS]
-        deltas = sum(((count - 1) * _WIDTH_BITS[code % 6] + 7) >> 3 for code in codes)
+        # Codes from 6 on are unknown: any length of the differences is wrong for them.
+        difference_bytes = sum(((count - 1) * _WIDTH_BITS[code % 6] + 7) >> 3 for code in codes)
         nibbles = [*codes, 0] if len(codes) % 2 else codes
         widths = bytes(low | high << 4 for low, high in zip(nibbles[::2], nibbles[1::2], strict=True))
         bases = bytearray(chance.randbytes(_BASE_BYTES))
         if chance.random() < 0.7:
             # Those of 8 bits, which come last, are enumerations.
             bases[-4:] = (chance.randrange(9) for _ in range(4))
+        # Mostly the next tick; sometimes some are lost, or the board seems to have restarted.
         first = self._tick + chance.choice((0, 0, 0, 0, chance.randrange(300)))
         if chance.random() < 0.05:
             first = chance.choice((chance.getrandbits(32), chance.randrange(100_000), 2**32 - 1))
         self._tick = (first + count) & 0xFFFFFFFF
         first &= 0xFFFFFFFF
         head = struct.pack("<IB", first, count)
-        return (head + widths + bases + chance.randbytes(deltas))[:MAX_TELEMETRY_PAYLOAD]
+        return (head + widths + bases + chance.randbytes(difference_bytes))[:MAX_TELEMETRY_PAYLOAD]
 
 
 def unexpected(error: Exception) -> Exception | None:

@@ -316,7 +316,8 @@ def test_events_before_the_handshake_are_reported_after_it() -> None:
     harness.turn(ticks=100)
     frames = harness.turn(harness.frame(HelloMessage(request=1, link_hash=LINK_HASH, session=1)))
     assert [frame.id for frame in frames] == [MessageId.WELCOME] + [MessageId.EVENT] * 5
-    assert [event[0] for event in payloads_of(frames, MessageId.EVENT)] == [0, 1, 2, 3, 4]
+    events = [EventMessage.unpack(payload) for payload in payloads_of(frames, MessageId.EVENT)]
+    assert [event.tick for event in events] == [0, 1, 2, 3, 4]
 
 
 def test_another_declaration_gets_welcome_with_the_mismatch_and_no_session() -> None:

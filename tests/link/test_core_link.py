@@ -332,7 +332,7 @@ def test_a_batch_has_as_many_ticks_as_the_parameter_says() -> None:
     harness = Harness(lambda _id, _payload: (Result.OK, 0, 0.0))
     harness.hello()
     for count in (20, 4, 32):
-        harness.native.params.set(BATCH.index, float(count), True)
+        harness.native.params.set(BATCH.index, float(count), idle=True)
         harness.ask(ParamSetMessage(count, BATCH.index, float(count)))
         frames = [frame for row in slowly_changing_samples(200) for frame in turn_with_sample(harness, row)]
         sizes = [len(rows) for _, rows in batches(frames)]

@@ -234,6 +234,7 @@ def test_channels_of_any_type_may_stand_anywhere(types: list[str], data: st.Data
 def test_wider_deltas_than_needed_decode_alike(sent: Batch, data: st.DataObject) -> None:
     first, rows = sent
     narrow = reference.telemetry_payload(first, rows)
+    # Behind first tick and count: a code of four bits for the width of each channel's differences.
     widths = narrow[5 : 5 + (len(CHANNELS) + 1) // 2]
     codes = [nibble for byte in widths for nibble in (byte % 16, byte // 16)][: len(CHANNELS)]
     wide = [data.draw(st.integers(code, 5)) for code in codes]
@@ -478,10 +479,10 @@ def test_a_reconstructed_event_stands_after_earlier_and_before_later_ones(base: 
         link_event(later, None),
         link_event(later, event(later, *LANDING)),
     ]
-    insert_missed(event(lost, *HOLDING), 5, events)
+    insert_missed(event(lost, *HOLDING), wall_ns=5, events=events)
     assert [entry.tick for entry in events] == [earlier, later, lost, later]
     assert events[2].message == event(lost, *HOLDING) and events[2].wall_ns == 5
-    insert_missed(event((later + 1) % 2**32, *LANDED), 5, events)
+    insert_missed(event((later + 1) % 2**32, *LANDED), wall_ns=5, events=events)
     assert events[-1].message == event((later + 1) % 2**32, *LANDED)
 
 

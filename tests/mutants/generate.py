@@ -68,7 +68,7 @@ def _tokens(text: str) -> Iterator[Token]:
         end = token.end()
         kind = next(k for k in ("string", "number", "name", "punctuation") if token[k] is not None)
         around = text[at - 1 : at] + text[end : end + 1]
-        yield Token(kind, token[0], at, end, len(around) == 2 and around.isspace())
+        yield Token(kind, token[0], at, end, spaced=len(around) == 2 and around.isspace())
         at = end
 
 
@@ -413,9 +413,12 @@ class _Source:
                 "public",
                 "private",
             )
-            ends = token.text in (";", "{", "}") or is_label
+            ends_statement = token.text in (";", "{", "}") or is_label
             is_header = token.text == ")" and self._heads(index) and depth == 0
-            if (depth == 0 and (ends or is_header or token.text == "else")) or token.text in ("{", "}"):
+            if (depth == 0 and (ends_statement or is_header or token.text == "else")) or token.text in (
+                "{",
+                "}",
+            ):
                 for k in range(first, index + 1):
                     end[k] = index
                 first = index + 1
@@ -451,16 +454,13 @@ def _other_numbers(text: str) -> list[str]:
         changed = [0.0, value + 1.0, 2.0 * value, 0.5 * value, 10.0 * value]
         others = [repr(number) + suffix for number in dict.fromkeys(changed) if number != value]
         return [other if "." in other or "e" in other else other + ".0" for other in others]
-    complete = (
-        int(digits, 0) if digits[:1] != "0" or len(digits) < 2 or digits[1:2] in "xXbB" else int(digits, 8)
-    )
-    written = hex if digits[:2].lower() == "0x" else str
-    changed_to = dict.fromkeys([0, complete + 1, 2 * complete, (complete + 1) // 2, 10 * complete])
-    return [
-        written(number) + suffix.replace("f", "").replace("F", "")
-        for number in changed_to
-        if number != complete
-    ]
+    is_octal = len(digits) > 1 and digits[0] == "0" and digits[1] not in "xXbB"
+    integer = int(digits, 8 if is_octal else 0)
+    text_of = hex if digits[:2].lower() == "0x" else str
+    integers = dict.fromkeys([0, integer + 1, 2 * integer, (integer + 1) // 2, 10 * integer])
+    # The suffix of an integer has no F.
+    suffix = suffix.replace("f", "").replace("F", "")
+    return [text_of(number) + suffix for number in integers if number != integer]
 
 
 BUILD: Final = ROOT / "build" / "mutants"

@@ -133,16 +133,20 @@ class Watch:
     """A plugin that notes what each test enters, and what it costs."""
 
     def __init__(self, take: Callable[[], set[int]], *, keeps_all: bool = False) -> None:
+        # `take` returns the blocks that were entered since its last call.
         self._take, self._keeps_all = take, keeps_all
         self.entered: dict[str, set[int]] = defaultdict(set)
         self.costs_s: dict[str, float] = {}
+        # Blocks and costs of fixtures that several tests share, by name and by where they are declared.
         self._shared: dict[tuple[str, str], set[int]] = {}
         self._shared_s: dict[tuple[str, str], float] = defaultdict(float)
         self._not_passed: set[str] = set()
         self._failed: dict[str, str] = {}
         self._ran: list[pytest.Item] = []
+        # Blocks entered by the test around each shared fixture that is being set up.
         self._outer: list[set[int]] = []
         self._start_s = self._set_up_s = 0.0
+        # Blocks that the present test has entered, as far as they were taken already.
         self._pending: set[int] = set()
 
     @pytest.hookimpl(wrapper=True)

@@ -88,8 +88,8 @@ def test_a_stop_needs_no_turn_of_the_loop_that_serves_clients(desk: Desk, addres
 
 
 def test_a_response_ends_its_connection_so_that_no_stop_follows_it_into_the_loop(address: Address) -> None:
-    host = ("Host", f"127.0.0.1:{address.port}")
-    request = f"GET /main.js HTTP/1.1\r\n{host[0]}: {host[1]}\r\n\r\n"
+    host = f"127.0.0.1:{address.port}"
+    request = f"GET /main.js HTTP/1.1\r\nHost: {host}\r\n\r\n"
     with socket.create_connection((address.host, address.port), timeout=PATIENCE_S) as browser:
         browser.sendall(request.encode())
         received = b""

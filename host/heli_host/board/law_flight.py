@@ -271,12 +271,13 @@ def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
         run.law_s.append(time.perf_counter() - began_s)
         if isinstance(law, Following):
             session.stream(FollowingMessage(*(law.setpoints_rad[axis] for axis in AXES)))
-        clipped = min(max(front_V, low_V), high_V), min(max(back_V, low_V), high_V)
-        run.clipped += clipped != (front_V, back_V)
-        heli.voltages(*clipped, run.valid_s)
+        sent_front_V = min(max(front_V, low_V), high_V)
+        sent_back_V = min(max(back_V, low_V), high_V)
+        run.clipped += (sent_front_V, sent_back_V) != (front_V, back_V)
+        heli.voltages(sent_front_V, sent_back_V, run.valid_s)
         run.tick.append(sample.tick)
-        run.front_V.append(clipped[0])
-        run.back_V.append(clipped[1])
+        run.front_V.append(sent_front_V)
+        run.back_V.append(sent_back_V)
 
 
 def _checked_voltages(law: ControlLaw, sample: Sample) -> tuple[float, float]:

@@ -486,19 +486,19 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
     """Refuse angles that are probably in degrees, by their size, rate or encoder step, and voltages that are
     probably not in volts. `where` names a row of the file.
     """
-    degrees = "looks like degrees", "multiply the angles by pi/180"
+    suspicion, remedy = "looks like degrees", "multiply the angles by pi/180"
     for name, max_angle_rad in MAX_ANGLE_RAD.items():
         column = getattr(flight, name)
         row = int(np.argmax(np.abs(column)))
         if abs(column[row]) > max_angle_rad:
             raise FlightDataError(
-                f"{source}: {name} is {column[row]:.4g} in {where(row)}, which {degrees[0]}", degrees[1]
+                f"{source}: {name} is {column[row]:.4g} in {where(row)}, which {suspicion}", remedy
             )
         row, rate_rad_s = _rate_exceeded_by_1_percent(column, flight.step_s)
         if rate_rad_s > _MAX_RATE_RAD_S:
             raise FlightDataError(
-                f"{source}: {name} moves by {rate_rad_s:.3g} per second in {where(row)}, which {degrees[0]}",
-                degrees[1],
+                f"{source}: {name} moves by {rate_rad_s:.3g} per second in {where(row)}, which {suspicion}",
+                remedy,
             )
     for name in (f"{axis}_rad" for axis in AXES):
         signed_moves = np.diff(getattr(flight, name))
@@ -510,8 +510,8 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
         if rows.size >= _MIN_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:
             raise FlightDataError(
                 f"{source}: {name} moves in steps of {moves[rows].min():.4g} (the first in "
-                f"{where(int(rows[0]) + 1)}), which {degrees[0]}",
-                degrees[1],
+                f"{where(int(rows[0]) + 1)}), which {suspicion}",
+                remedy,
             )
     for name in ("front_V", "back_V"):
         column = getattr(flight, name)

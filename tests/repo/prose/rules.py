@@ -111,8 +111,8 @@ def abbreviations(glossary: str) -> dict[str, str]:
     """Return the meaning of each abbreviation in the glossary's table of them."""
     table = glossary.partition("\n## Abbreviations\n")[2].partition("\n## ")[0]
     meanings: dict[str, str] = {}
-    for row in re.findall(r"^\| ([A-Z][\w, ]+) \| (.+) \|$", table, re.MULTILINE):
-        meanings.update(zip(row[0].split(", "), row[1].split(", "), strict=True))
+    for short_forms, long_forms in re.findall(r"^\| ([A-Z][\w, ]+) \| (.+) \|$", table, re.MULTILINE):
+        meanings.update(zip(short_forms.split(", "), long_forms.split(", "), strict=True))
     return meanings
 
 

@@ -150,13 +150,19 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
     table_in = 0.24 * (len(rows) + 2)
     height_in = 9.0 + table_in
     figure = Figure(figsize=(12.0, height_in))
-    panels = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 2])
-    figure.subplots_adjust(0.07, (table_in + 0.75) / height_in, 0.985, 1.0 - 0.5 / height_in, hspace=0.12)
+    *angle_panels, volts_panel = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 2])
+    figure.subplots_adjust(
+        left=0.07,
+        bottom=(table_in + 0.75) / height_in,
+        right=0.985,
+        top=1.0 - 0.5 / height_in,
+        hspace=0.12,
+    )
     for (label, flight), colour in zip(flights.items(), _COLOURS, strict=False):
         flown = np.flatnonzero(flown_rows(flight))
         t_s = flight.t_s - flight.t_s[flown[0] if flown.size else 0]
         keep = slice(None, None, max(1, len(flight) // _POINTS))
-        for axis, panel in zip(AXES, panels, strict=False):
+        for axis, panel in zip(AXES, angle_panels, strict=True):
             setpoint = getattr(flight, f"{axis}_setpoint_rad")
             if setpoint is not None:
                 setpoint_deg = np.where(led_rows(flight, axis), np.rad2deg(setpoint), np.nan)
@@ -165,16 +171,16 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
             angle_deg = np.rad2deg(getattr(flight, f"{axis}_rad"))[keep]
             panel.plot(*broken_at_gaps(t_s[keep], angle_deg), color=colour, lw=1.3, label=label)
         mean_V = flight.voltages_V.mean(axis=1)[keep]
-        panels[3].plot(*broken_at_gaps(t_s[keep], mean_V), color=colour, lw=0.8)
-    for axis, panel in zip(AXES, panels, strict=False):
+        volts_panel.plot(*broken_at_gaps(t_s[keep], mean_V), color=colour, lw=0.8)
+    for axis, panel in zip(AXES, angle_panels, strict=True):
         panel.set_ylabel(f"{axis} [deg]")
-    panels[3].set_ylabel("mean of both\nvoltages [V]")
-    panels[3].set_xlabel("time since the control law began [s]; dashed: setpoints")
-    for panel in panels:
+    volts_panel.set_ylabel("mean of both\nvoltages [V]")
+    volts_panel.set_xlabel("time since the control law began [s]; dashed: setpoints")
+    for panel in (*angle_panels, volts_panel):
         panel.grid(alpha=0.25)
         panel.margins(x=0.01)
     figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="upper center", ncols=4, fontsize=9, frameon=False
+        *angle_panels[0].get_legend_handles_labels(), loc="upper center", ncols=4, fontsize=9, frameon=False
     )
     table_axes = figure.add_axes((0.03, 0.1 / height_in, 0.955, table_in / height_in))
     table_axes.set_axis_off()

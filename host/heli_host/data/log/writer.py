@@ -549,8 +549,8 @@ class LogWriter:
         """Compute the times of the ticks in all waiting batches together, which is faster than one by one."""
         if not self._untimed:
             return
-        tick = np.concatenate([batch[0] for batch in self._untimed])
-        raw = np.concatenate([batch[1] for batch in self._untimed])
+        ticks, raws = zip(*self._untimed, strict=True)
+        tick, raw = np.concatenate(ticks), np.concatenate(raws)
         self._untimed.clear()
         time_us, lost = self._clock.advance(tick)
         self._counters.ticks_logged += int(tick.size)
