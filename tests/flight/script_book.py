@@ -69,13 +69,17 @@ def fixed_point(notes: Notes, _laws: Any) -> None:
     notes.add("quantity", struct.pack(f"<{len(floats)}i", *(control.quantity(value) for value in floats)))
     roots = [chance.getrandbits(chance.randrange(1, 62)) for _ in range(1500)]
     notes.add("square_root", struct.pack(f"<{len(roots)}I", *(control.square_root(value) for value in roots)))
-    small = [chance.uniform(1e-3, 1e4) for _ in range(500)]
-    notes.add("reciprocal", struct.pack("<500f", *(control.reciprocal(value) for value in small)))
+    divisors = [chance.uniform(1e-3, 1e4) for _ in range(500)]
+    notes.add("reciprocal", struct.pack("<500f", *(control.reciprocal(divisor) for divisor in divisors)))
     mixed = bytearray()
     for _ in range(1500):
-        volts = [chance.choice((chance.uniform(-15.0, 15.0), 0.0, 2.0)) for _ in range(3)]
+        collective_V, differential_V, differential_max_V = (
+            chance.choice((chance.uniform(-15.0, 15.0), 0.0, 2.0)) for _ in range(3)
+        )
         least_V, most_V = chance.uniform(-10.0, 0.0), chance.uniform(0.1, 12.0)
-        mixed += struct.pack("<4f", *control.mix(volts[0], volts[1], least_V, most_V, abs(volts[2])))
+        mixed += struct.pack(
+            "<4f", *control.mix(collective_V, differential_V, least_V, most_V, abs(differential_max_V))
+        )
         mixed += struct.pack(
             "<f", control.motor_from_lift_V(chance.uniform(-0.1, 0.1), chance.choice((0.0, 1.0, 5.0)))
         )

@@ -177,7 +177,15 @@ def flown(case: Case) -> Flown:
         )
     world.advance(round(1e3 * _DOWN_S))
     since = newest.tick if newest is not None else 0
-    return Flown(case, summary.outcome, received, delivered, counters, since, list(world.native.volts_V))
+    return Flown(
+        case=case,
+        outcome=summary.outcome,
+        heard=received,
+        delivered=delivered,
+        counters=counters,
+        since_tick=since,
+        volts_V=list(world.native.volts_V),
+    )
 
 
 def mistakes_of(flight: Flown) -> list[str]:

@@ -308,6 +308,7 @@ def _run(words: list[str], folder: Path, troubles: list[PortTrouble], ask: int, 
     os.chdir(folder)
 
     def cut() -> None:
+        """Let the parent unplug the board, and wait until it has."""
         os.write(ask, b"x")
         os.read(answered, 1)
 

@@ -40,6 +40,11 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> Build:
 FLASH = 0x0008_0000
 RAM = 0x2007_0000
 FULL_HZ = 84_000_000
+# Fields of the PMC's registers CKGR_MOR, CKGR_PLLAR, PMC_MCKR and PMC_SR.
+MOR_KEY, MOSCXTEN, MOSCRCEN, MOSCSEL = 0x37 << 16, 1 << 0, 1 << 3, 1 << 24
+PLLAR_ONE = 1 << 29
+PRES_2, CSS_MAIN, CSS_PLLA = 1 << 4, 1, 2
+MOSCXTS, LOCKA, MCKRDY = 1 << 0, 1 << 1, 1 << 3
 # reset_handler: wfi; b reset_handler
 _PARKED = struct.pack("<II", 0x2008_8000, FLASH + 0x101).ljust(0x100, b"\0") + b"\x30\xbf\xfd\xe7"
 
@@ -91,17 +96,17 @@ class Chip:
     def to_full_speed(self) -> None:
         """12 MHz crystal, PLLA x 14, half of it."""
         self["EFC0.FMR"] = self["EFC1.FMR"] = 4 << 8
-        self["PMC.MOR"] = 0x37 << 16 | 8 << 8 | 1 << 3 | 1
-        self.wait("PMC.SR", 1 << 0)
-        self["PMC.MOR"] = 0x37 << 16 | 1 << 24 | 8 << 8 | 1 << 3 | 1
-        self["PMC.MCKR"] = 1
-        self.wait("PMC.SR", 1 << 3)
-        self["PMC.PLLAR"] = 1 << 29 | 13 << 16 | 0x3F << 8 | 1
-        self.wait("PMC.SR", 1 << 1)
-        self["PMC.MCKR"] = 1 << 4 | 1
-        self.wait("PMC.SR", 1 << 3)
-        self["PMC.MCKR"] = 1 << 4 | 2
-        self.wait("PMC.SR", 1 << 3)
+        self["PMC.MOR"] = MOR_KEY | 8 << 8 | MOSCRCEN | MOSCXTEN
+        self.wait("PMC.SR", MOSCXTS)
+        self["PMC.MOR"] = MOR_KEY | MOSCSEL | 8 << 8 | MOSCRCEN | MOSCXTEN
+        self["PMC.MCKR"] = CSS_MAIN
+        self.wait("PMC.SR", MCKRDY)
+        self["PMC.PLLAR"] = PLLAR_ONE | 13 << 16 | 0x3F << 8 | 1
+        self.wait("PMC.SR", LOCKA)
+        self["PMC.MCKR"] = PRES_2 | CSS_MAIN
+        self.wait("PMC.SR", MCKRDY)
+        self["PMC.MCKR"] = PRES_2 | CSS_PLLA
+        self.wait("PMC.SR", MCKRDY)
 
     def clock(self, *names: str) -> None:
         """Switch on the clocks of peripherals; a timer block gets all three of its own."""

@@ -5,12 +5,25 @@ from __future__ import annotations
 import random
 
 import pytest
-from due_chip import FULL_HZ, RAM, Chip
+from due_chip import (
+    CSS_MAIN,
+    CSS_PLLA,
+    FULL_HZ,
+    LOCKA,
+    MCKRDY,
+    MOR_KEY,
+    MOSCRCEN,
+    MOSCSEL,
+    MOSCXTEN,
+    MOSCXTS,
+    PLLAR_ONE,
+    PRES_2,
+    RAM,
+    Chip,
+)
 from due_emulator import Due, Stop
 
 pytestmark = pytest.mark.emulated
-
-MOR_KEY = 0x37 << 16
 
 
 def test_the_chip_starts_on_its_4_MHz_oscillator() -> None:
@@ -24,12 +37,12 @@ def test_the_documented_sequence_reaches_84_MHz() -> None:
 @pytest.mark.parametrize("bank", ["EFC0", "EFC1"])
 def test_84_MHz_needs_four_flash_wait_states_of_both_banks(bank: str) -> None:
     chip = Chip()
-    chip["PMC.MCKR"] = 1 << 4 | 1
-    chip.wait("PMC.SR", 1 << 3)
+    chip["PMC.MCKR"] = PRES_2 | CSS_MAIN
+    chip.wait("PMC.SR", MCKRDY)
     chip[f"{bank}.FMR"] = 3 << 8
     chip.due.run_us(1)
     with pytest.raises(Stop, match=f"flash wait states than FWS = 3 of {bank}"):
-        chip["PMC.MCKR"] = 1 << 4 | 2
+        chip["PMC.MCKR"] = PRES_2 | CSS_PLLA
 
 
 @pytest.mark.parametrize("bank", ["EFC0", "EFC1"])
@@ -48,19 +61,19 @@ def test_wait_states_cannot_be_taken_away_at_84_MHz(bank: str, wait_states: int)
 def test_least_wait_states_are_those_of_the_vendors_table(mula: int, mck_Hz: float, least: int) -> None:
     for wait_states in (least - 1, least):
         chip = Chip(full_speed=False)
-        chip["PMC.MOR"] = MOR_KEY | 8 << 8 | 1 << 3 | 1
-        chip.wait("PMC.SR", 1 << 0)
-        chip["PMC.MOR"] = MOR_KEY | 1 << 24 | 8 << 8 | 1 << 3 | 1
-        chip["PMC.PLLAR"] = 1 << 29 | mula << 16 | 0x3F << 8 | 1
-        chip.wait("PMC.SR", 1 << 1)
-        chip["PMC.MCKR"] = 1 << 4 | 1
-        chip.wait("PMC.SR", 1 << 3)
+        chip["PMC.MOR"] = MOR_KEY | 8 << 8 | MOSCRCEN | MOSCXTEN
+        chip.wait("PMC.SR", MOSCXTS)
+        chip["PMC.MOR"] = MOR_KEY | MOSCSEL | 8 << 8 | MOSCRCEN | MOSCXTEN
+        chip["PMC.PLLAR"] = PLLAR_ONE | mula << 16 | 0x3F << 8 | 1
+        chip.wait("PMC.SR", LOCKA)
+        chip["PMC.MCKR"] = PRES_2 | CSS_MAIN
+        chip.wait("PMC.SR", MCKRDY)
         chip["EFC0.FMR"] = chip["EFC1.FMR"] = wait_states << 8
         if wait_states < least:
             with pytest.raises(Stop, match="needs more flash wait states"):
-                chip["PMC.MCKR"] = 1 << 4 | 2
+                chip["PMC.MCKR"] = PRES_2 | CSS_PLLA
         else:
-            chip["PMC.MCKR"] = 1 << 4 | 2
+            chip["PMC.MCKR"] = PRES_2 | CSS_PLLA
             assert chip.due.mck_Hz == mck_Hz
 
 
@@ -68,9 +81,9 @@ def test_least_wait_states_are_those_of_the_vendors_table(mula: int, mck_Hz: flo
     ("register", "value", "message"),
     [
         ("PMC.MOR", 1 << 3, "key 0x37"),
-        ("PMC.MOR", MOR_KEY | 1 << 24 | 1 << 3 | 1, "before PMC_SR.MOSCXTS"),
+        ("PMC.MOR", MOR_KEY | MOSCSEL | MOSCRCEN | MOSCXTEN, "before PMC_SR.MOSCXTS"),
         ("PMC.PLLAR", 13 << 16 | 1, "bit 29"),
-        ("PMC.PLLAR", 1 << 29 | 60 << 16 | 0x3F << 8 | 1, "outside of 84 to 192 MHz"),
+        ("PMC.PLLAR", PLLAR_ONE | 60 << 16 | 0x3F << 8 | 1, "outside of 84 to 192 MHz"),
         ("PMC.MCKR", 2, "before PMC_SR.LOCKA"),
     ],
 )
@@ -95,21 +108,21 @@ def test_board_time_keeps_its_pace_when_the_clock_changes() -> None:
 def test_a_crystal_that_is_said_to_run_before_it_can_is_noticed(counts: int) -> None:
     chip = Chip(full_speed=False)
     chip.due.set_slow_clock(8 * counts * 1000 + 16_000)
-    chip["PMC.MOR"] = MOR_KEY | counts << 8 | 1 << 3 | 1
-    chip.wait("PMC.SR", 1 << 0)
+    chip["PMC.MOR"] = MOR_KEY | counts << 8 | MOSCRCEN | MOSCXTEN
+    chip.wait("PMC.SR", MOSCXTS)
     with pytest.raises(Stop, match=r"MOSCXTST is too short: the crystal needs 1\.4 ms"):
-        chip["PMC.MOR"] = MOR_KEY | 1 << 24 | counts << 8 | 1 << 3 | 1
+        chip["PMC.MOR"] = MOR_KEY | MOSCSEL | counts << 8 | MOSCRCEN | MOSCXTEN
 
 
 @pytest.mark.parametrize("counts", [0, 5])
 def test_a_pll_that_is_said_to_be_locked_before_it_can_is_noticed(counts: int) -> None:
     chip = Chip()
-    chip["PMC.MCKR"] = 1 << 4 | 1
-    chip.wait("PMC.SR", 1 << 3)
-    chip["PMC.PLLAR"] = 1 << 29 | 13 << 16 | counts << 8 | 1
-    chip.wait("PMC.SR", 1 << 1)
+    chip["PMC.MCKR"] = PRES_2 | CSS_MAIN
+    chip.wait("PMC.SR", MCKRDY)
+    chip["PMC.PLLAR"] = PLLAR_ONE | 13 << 16 | counts << 8 | 1
+    chip.wait("PMC.SR", LOCKA)
     with pytest.raises(Stop, match=r"PLLACOUNT is too short: PLLA needs 0\.2 ms"):
-        chip["PMC.MCKR"] = 1 << 4 | 2
+        chip["PMC.MCKR"] = PRES_2 | CSS_PLLA
 
 
 def test_prescaler_and_source_of_the_master_clock_do_not_change_in_one_write() -> None:

@@ -19,6 +19,8 @@ from due_emulator.gdb import GdbServer, packet
 
 pytestmark = pytest.mark.emulated
 
+SYSTICK = 15
+"""Number of the exception."""
 GUARD_S = 120.0
 """How long a failing test waits."""
 GDB = shutil.which("gdb-multiarch") or shutil.which("arm-none-eabi-gdb")
@@ -108,7 +110,7 @@ def test_a_function_is_measured_without_the_interrupts_in_it(image: Image) -> No
     assert work.max_instructions == work.last_instructions == work.instructions // 50
     # Its loop runs 20 times and takes 4 to 8 instructions each time, as the compiler decides.
     assert 20 * 4 <= work.max_instructions <= 20 * 8
-    systick = due.exception_stats(15)
+    systick = due.exception_stats(SYSTICK)
     assert systick.count == 50
     assert systick.instructions == 50 * systick.max_instructions
 

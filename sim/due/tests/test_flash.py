@@ -11,7 +11,11 @@ from due_emulator import Stop
 pytestmark = pytest.mark.emulated
 
 PLANE1 = 0x000C_0000
+# Commands: write page, erase and write page, set and get lock bits, get descriptor, set and get boot bits.
 WP, EWP, SLB, GLB, GETD, SGPB, GGPB = 1, 3, 8, 10, 0, 11, 13
+# Bits of EEFC_FSR: ready for a command, and a command that a lock refused.
+FRDY, FLOCKE = 1 << 0, 1 << 2
+SIX_WAIT_STATES = 6 << 8
 OLD, NEW = b"\x0f" * 256, b"\xa5" * 256
 PAGE = 1022
 ADDRESS = PLANE1 + 256 * PAGE
@@ -30,7 +34,7 @@ def latch(chip: Chip, data: bytes) -> None:
 def with_old_page() -> Chip:
     chip = Chip()
     chip.due.load(ADDRESS, OLD)
-    chip["EFC1.FMR"] = 6 << 8
+    chip["EFC1.FMR"] = SIX_WAIT_STATES
     latch(chip, NEW)
     return chip
 
@@ -43,11 +47,11 @@ def page(chip: Chip) -> bytes:
 def test_erase_and_write_takes_4_6_ms_and_leaves_the_new_page() -> None:
     chip = with_old_page()
     command(chip, EWP, PAGE)
-    assert chip["EFC1.FSR"] & 1 == 0
+    assert chip["EFC1.FSR"] & FRDY == 0
     chip.due.run_us(4590)
-    assert chip["EFC1.FSR"] & 1 == 0
+    assert chip["EFC1.FSR"] & FRDY == 0
     chip.due.run_us(20)
-    assert chip["EFC1.FSR"] == 1
+    assert chip["EFC1.FSR"] == FRDY
     assert page(chip) == NEW
 
 
@@ -65,8 +69,9 @@ def test_a_power_cut_leaves_old_erased_or_new_words(cut_us: int) -> None:
     chip.due.run_us(cut_us)
     chip.due.power_off()
     words = {page(chip)[i : i + 4] for i in range(0, 256, 4)}
-    phase = {OLD[:4], b"\xff" * 4} if cut_us < 2300 else {b"\xff" * 4, NEW[:4]}
-    assert words <= phase
+    # The first half erases the page word by word, the second writes it.
+    possible_words = {OLD[:4], b"\xff" * 4} if cut_us < 2300 else {b"\xff" * 4, NEW[:4]}
+    assert words <= possible_words
     if 200 < cut_us < 2100:
         assert len(words) == 2
 
@@ -87,7 +92,7 @@ def test_fewer_than_six_wait_states_break_the_errata() -> None:
 
 def test_a_plane_cannot_be_programmed_by_its_own_code() -> None:
     chip = Chip()
-    chip["EFC0.FMR"] = 6 << 8
+    chip["EFC0.FMR"] = SIX_WAIT_STATES
     with pytest.raises(Stop, match="programmed by code that runs from it"):
         command(chip, EWP, 900, efc="EFC0")
 
@@ -104,9 +109,9 @@ def test_a_locked_region_refuses() -> None:
     chip = with_old_page()
     command(chip, SLB, PAGE)
     command(chip, GLB)
-    assert chip["EFC1.FRR"] == 1 << 15
+    assert chip["EFC1.FRR"] == 1 << 15  # The last of 16 regions, which holds PAGE.
     command(chip, EWP, PAGE)
-    assert chip["EFC1.FSR"] == 1 | 1 << 2
+    assert chip["EFC1.FSR"] == FRDY | FLOCKE
     assert page(chip) == OLD
 
 

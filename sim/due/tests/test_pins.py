@@ -222,6 +222,7 @@ def armed_fault(latched: bool) -> Chip:
         chip[f"PWM.CDTYUPD{channel}"] = 1400
     chip["PWM.SCUC"] = 1
     chip["PWM.FPV"] = 0
+    # FPOL: input 2 is active low, the others high; FMOD: input 2 is latched.
     chip["PWM.FMR"] = (1 << 10 if latched else 0) | 0x3B
     chip["PWM.FCR"] = 0xFF
     chip["PWM.FPE1"] = 1 << 2
@@ -254,7 +255,7 @@ def test_a_latched_fault_lasts_until_it_is_cleared() -> None:
 @pytest.mark.parametrize("cycles", [0, 2])
 def test_a_filtered_fault_input_drops_what_is_shorter_than_a_clock(filtered: bool, cycles: int) -> None:
     chip = armed_fault(latched=True)
-    chip["PWM.FMR"] = filtered << 18 | 1 << 10 | 0x3B
+    chip["PWM.FMR"] = filtered << 18 | 1 << 10 | 0x3B  # FFIL, FMOD and FPOL of input 2
     chip.due.set_pin("PD6", "low")
     chip.run_cycles(cycles)
     chip.due.set_pin("PD6", "open")

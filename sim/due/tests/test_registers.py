@@ -176,7 +176,7 @@ def test_each_edge_of_a_pin_interrupts_whom_it_should(build: Build) -> None:
     for pin in ("PC4", "PC5"):
         due.set_pin(pin, "low")
     due.run_us(100)
-    start = word(due, image, "rising"), word(due, image, "falling")
+    rising, falling = word(due, image, "rising"), word(due, image, "falling")
     for _ in range(30):
         for state in ("high", "low"):
             due.set_pin("PC4", state)
@@ -187,7 +187,7 @@ def test_each_edge_of_a_pin_interrupts_whom_it_should(build: Build) -> None:
             due.run_us(50)
     due.set_pin("PC5", "high")
     due.run_us(50)
-    assert (word(due, image, "rising") - start[0], word(due, image, "falling") - start[1]) == (30, 20)
+    assert (word(due, image, "rising") - rising, word(due, image, "falling") - falling) == (30, 20)
 
 
 def test_voltages_are_read_by_polling_and_by_interrupt_and_put_out_again(build: Build) -> None:

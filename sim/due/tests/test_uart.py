@@ -13,6 +13,11 @@ pytestmark = pytest.mark.emulated
 RXRDY, TXRDY, ENDRX, ENDTX, OVRE, FRAME, PARE = (1 << i for i in (0, 1, 3, 4, 5, 6, 7))
 TXEMPTY, TXBUFE, RXBUFF = 1 << 9, 1 << 11, 1 << 12
 NO_PARITY = 4 << 9
+RXEN, TXEN = 1 << 4, 1 << 6
+TXTEN = 1 << 8
+"""In UART_PTCR: the DMA sends."""
+BYTE_CYCLES = 10 * 16 * 21
+"""Start bit, eight of data and stop bit at 250 kbaud."""
 
 
 def opened(divider: int = 21, mode: int = NO_PARITY, baud: int = 250_000) -> Chip:
@@ -20,7 +25,7 @@ def opened(divider: int = 21, mode: int = NO_PARITY, baud: int = 250_000) -> Chi
     chip["PIOA.PDR"] = 0x300
     chip["UART.MR"] = mode
     chip["UART.BRGR"] = divider
-    chip["UART.CR"] = 1 << 4 | 1 << 6
+    chip["UART.CR"] = RXEN | TXEN
     chip.due.usb_line_coding(baud)
     return chip
 
@@ -118,8 +123,8 @@ def test_dma_sends_back_to_back() -> None:
     chip.due.poke(RAM, bytes(range(64)))
     chip["UART.TPR"], chip["UART.TCR"] = RAM, 40
     chip["UART.TNPR"], chip["UART.TNCR"] = RAM + 40, 24
-    chip["UART.PTCR"] = 1 << 8
-    assert cycles_until(chip, TXEMPTY) == pytest.approx(64 * 3360, abs=8)
+    chip["UART.PTCR"] = TXTEN
+    assert cycles_until(chip, TXEMPTY) == pytest.approx(64 * BYTE_CYCLES, abs=8)
     assert chip["UART.SR"] & (ENDTX | TXBUFE) == ENDTX | TXBUFE
     chip.due.run_us(5000)
     assert chip.due.usb_read() == bytes(range(64))
@@ -218,7 +223,7 @@ def test_96_bytes_do_not_wait() -> None:
     chip["UART.TPR"], chip["UART.TCR"] = 0x2007_0000, 97
     while chip.due.usb_read() or chip.due.now_us % 4096 > 50:
         chip.due.run_us(10)
-    chip["UART.PTCR"] = 1 << 8
+    chip["UART.PTCR"] = TXTEN
     chip.due.run_us(97 * 40 + 5)
     assert len(chip.due.usb_read()) == 97
 
@@ -227,7 +232,7 @@ def test_a_host_that_does_not_read_loses_bytes_silently() -> None:
     chip = opened()
     chip.due.usb_reading(False)
     chip["UART.TPR"], chip["UART.TCR"] = 0x2007_0000, 300
-    chip["UART.PTCR"] = 1 << 8
+    chip["UART.PTCR"] = TXTEN
     chip.due.run_us(300 * 40 + 100)
     chip.due.usb_reading(True)
     chip.due.run_us(5000)

@@ -77,6 +77,31 @@ def _not_sp_or_pc(*letters: str) -> Callable[[Fields], bool]:
     return lambda f: all(f[letter] not in (13, 15) for letter in letters)
 
 
+def _not_base(f: Fields) -> bool:
+    """Whether the list `l` names registers, but not the base, bit by bit."""
+    return f["l"] != 0 and not f["l"] >> f["b"] & 1
+
+
+def _several_not_base(f: Fields) -> bool:
+    """Whether the list `l` names at least two registers, but neither the base nor the stack pointer."""
+    return f["l"].bit_count() > 1 and not f["l"] >> f["b"] & 1 and f["l"] < 0x2000
+
+
+def _several_stored_not_base(f: Fields) -> bool:
+    """Whether the list `l` names at least two registers, and the base is not among r0 to r12 of it."""
+    return f["l"].bit_count() > 1 and not (f["l"] & 0x1FFF) >> f["b"] & 1
+
+
+def _two_stored(f: Fields) -> bool:
+    """Whether `t` and `y` are neither stack pointer nor program counter, and the base is neither of them."""
+    return _not_sp_or_pc("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15)
+
+
+def _two_loaded(f: Fields) -> bool:
+    """Whether `t` and `y` may be loaded: as for storing, and not twice the same register."""
+    return _two_stored(f) and f["t"] != f["y"]
+
+
 def _encoding(
     name: str, bits: str, ok: Callable[[Fields], bool] = lambda f: True, **more: object
 ) -> Encoding:
@@ -322,64 +347,64 @@ def _memory() -> list[Encoding]:
         _encoding("STR SP", "10010tttiiiiiiii"),
         _encoding("LDR SP", "10011tttiiiiiiii", writes="t"),
         _encoding("LDR lit T1", "01001tttiiiiiiii", writes="t"),
-        _encoding("STM T1", "11000bbbllllllll", lambda f: f["l"] != 0 and not f["l"] >> f["b"] & 1, base="b"),
+        _encoding("STM T1", "11000bbbllllllll", _not_base, base="b"),
         _encoding(
             "LDM T1",
             "11001bbbllllllll",
-            lambda f: f["l"] != 0 and not f["l"] >> f["b"] & 1,
+            _not_base,
             base="b",
             register_list="l",
         ),
         _encoding(
             "LDM.W IA",
             "1110100010w1bbbb 00llllllllllllll",
-            lambda f: f["l"].bit_count() > 1 and not f["l"] >> f["b"] & 1 and f["l"] < 0x2000,
+            _several_not_base,
             base="b",
             register_list="l",
         ),
         _encoding(
             "LDM.W DB",
             "1110100100w1bbbb 00llllllllllllll",
-            lambda f: f["l"].bit_count() > 1 and not f["l"] >> f["b"] & 1 and f["l"] < 0x2000,
+            _several_not_base,
             base="b",
             register_list="l",
         ),
         _encoding(
             "STM.W IA",
             "1110100010w0bbbb 0l0lllllllllllll",
-            lambda f: f["l"].bit_count() > 1 and not (f["l"] & 0x1FFF) >> f["b"] & 1,
+            _several_stored_not_base,
             base="b",
         ),
         _encoding(
             "STM.W DB",
             "1110100100w0bbbb 0l0lllllllllllll",
-            lambda f: f["l"].bit_count() > 1 and not (f["l"] & 0x1FFF) >> f["b"] & 1,
+            _several_stored_not_base,
             base="b",
         ),
         _encoding(
             "LDRD imm",
             "11101001u1w1bbbb ttttyyyyiiiiiiii",
-            lambda f: _not_sp_or_pc("t", "y")(f) and f["t"] != f["y"] and f["b"] not in (f["t"], f["y"], 15),
+            _two_loaded,
             base="b",
             writes="ty",
         ),
         _encoding(
             "LDRD post",
             "11101000u111bbbb ttttyyyyiiiiiiii",
-            lambda f: _not_sp_or_pc("t", "y")(f) and f["t"] != f["y"] and f["b"] not in (f["t"], f["y"], 15),
+            _two_loaded,
             base="b",
             writes="ty",
         ),
         _encoding(
             "STRD imm",
             "11101001u1w0bbbb ttttyyyyiiiiiiii",
-            lambda f: _not_sp_or_pc("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15),
+            _two_stored,
             base="b",
         ),
         _encoding(
             "STRD post",
             "11101000u110bbbb ttttyyyyiiiiiiii",
-            lambda f: _not_sp_or_pc("t", "y")(f) and f["b"] not in (f["t"], f["y"], 15),
+            _two_stored,
             base="b",
         ),
         _encoding("LDR.W lit", "11111000u1011111 ttttiiiiiiiiiiii", _not_sp_or_pc("t"), writes="t"),

@@ -84,6 +84,12 @@
 #define NVIC_ISER1 REG(0xE000E104)
 
 enum { kUart = 8, kPioC = 13, kPwm = 36, kAdc = 37, kDacc = 38, kUotghs = 40 };
+enum {  // PMC_SR
+  kCrystalStable = 1u << 0,
+  kPllLocked = 1u << 1,
+  kMasterClockReady = 1u << 3,
+  kMainClockSelected = 1u << 16
+};
 
 static inline void wait_for(volatile uint32_t* status, uint32_t bits) {
   while ((*status & bits) != bits) {
@@ -92,20 +98,21 @@ static inline void wait_for(volatile uint32_t* status, uint32_t bits) {
 
 // Watchdog off, 84 MHz from the 12 MHz crystal.
 static inline void start_clock(void) {
-  WDT_MR = 1u << 15;
-  EFC0_FMR = EFC1_FMR = 4u << 8;
+  WDT_MR = 1u << 15;  // No watchdog.
+  EFC0_FMR = EFC1_FMR = 4u << 8;  // Four wait states of the flash, for 84 MHz.
+  // The crystal of 12 MHz, then the main clock from it; writes need the key 0x37.
   PMC_CKGR_MOR = 0x37u << 16 | 8u << 8 | 9u;
-  wait_for(&PMC_SR, 1u << 0);
+  wait_for(&PMC_SR, kCrystalStable);
   PMC_CKGR_MOR = 1u << 24 | 0x37u << 16 | 8u << 8 | 9u;
-  wait_for(&PMC_SR, 1u << 16);
-  PMC_MCKR = 0x01u;
-  wait_for(&PMC_SR, 1u << 3);
-  PMC_CKGR_PLLAR = 1u << 29 | 13u << 16 | 0x3Fu << 8 | 1u;
-  wait_for(&PMC_SR, 1u << 1);
-  PMC_MCKR = 0x11u;
-  wait_for(&PMC_SR, 1u << 3);
+  wait_for(&PMC_SR, kMainClockSelected);
+  PMC_MCKR = 0x01u;  // The processor on the main clock.
+  wait_for(&PMC_SR, kMasterClockReady);
+  PMC_CKGR_PLLAR = 1u << 29 | 13u << 16 | 0x3Fu << 8 | 1u;  // PLL: 12 MHz times 14.
+  wait_for(&PMC_SR, kPllLocked);
+  PMC_MCKR = 0x11u;  // Halved first, so that no step exceeds 84 MHz, then on the PLL.
+  wait_for(&PMC_SR, kMasterClockReady);
   PMC_MCKR = 0x12u;
-  wait_for(&PMC_SR, 1u << 3);
+  wait_for(&PMC_SR, kMasterClockReady);
 }
 
 // One interrupt a millisecond.
