@@ -41,7 +41,11 @@ def label(x: float, y: float, *lines: str) -> Iterator[str]:
 
 
 def parts() -> Iterator[str]:
-    """Everything in the picture."""
+    """Everything in the picture.
+
+    Places are pixels from the top left corner: of a box, its corner, then width and height; of an arrow,
+    its two ends; of a label, its middle.
+    """
     yield from box(20, 25, 230, 120, BLUE, "host", "heli-host, Python, dashboard", "plans, logs, stop")
     yield from box(20, 185, 230, 120, BLUE, "laboratory", "describe, tune, identify,", "diagnose, monitor")
     yield arrow(135, 145, 135, 185)

@@ -128,6 +128,7 @@ class FakeBoard:
         return out
 
     def _status(self, request: int) -> link.StatusMessage:
+        # Counters of a board, each another number, so that a host that mixes two of them shows it.
         return link.StatusMessage(request, self.tick, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12)
 
     def _take(self, frame: Frame) -> None:

@@ -86,7 +86,14 @@ def _run_on(
     print("looking which test reaches which line; after a change of sources this takes minutes", flush=True)
     results = Results(BUILD / "results.jsonl")
     reach = bench.reach({mutant.file for mutant in mutants})
-    runner = Runner(bench, reach, read_declarations(), results, sources_digest, tests_digest)
+    runner = Runner(
+        bench,
+        reach,
+        declarations=read_declarations(),
+        results=results,
+        sources=sources_digest,
+        tests=tests_digest,
+    )
     matches = []
     for number, result in enumerate(runner.run(mutants), 1):
         print(f"{number}/{len(mutants)} {result.outcome} {result.text}  ({result.by[-70:]})", flush=True)

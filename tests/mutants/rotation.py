@@ -97,7 +97,18 @@ def _mistake(file: str, text: str, before: str, after: str) -> Mutant:
     line = text.count("\n", 0, start) + 1
     last_line = line + before.count("\n")
     source_line = text.splitlines()[line - 1].strip()
-    return Mutant(file, line, last_line, source_line, 0, 0, "mistake", before, after, start)
+    return Mutant(
+        file=file,
+        line=line,
+        last_line=last_line,
+        source_line=source_line,
+        occurrence=0,
+        column=0,
+        kind="mistake",
+        before=before,
+        after=after,
+        start=start,
+    )
 
 
 def repeat(rows: Iterable[tuple[Mutant, str]], on_due: bool) -> int:

@@ -238,9 +238,12 @@ def call_in_fork(run: Callable[[], object]) -> Any:
         _flush()
         child = os.fork()
         if child == 0:
-            _in_child(
-                lambda: Path(file.name).write_text(json.dumps(run()), encoding="utf-8") * 0, printed.fileno()
-            )
+
+            def write_result() -> int:
+                Path(file.name).write_text(json.dumps(run()), encoding="utf-8")
+                return 0
+
+            _in_child(write_result, printed.fileno())
         _, status = os.waitpid(child, 0)
         if status != 0:
             raise ChildError(
@@ -329,14 +332,14 @@ class Runner:
 
     def _result(self, mutant: Mutant, outcome: str, by: str, spent_s: float) -> Result:
         return Result(
-            mutant.identity,
-            mutant.file,
-            str(mutant),
-            outcome,
-            by,
-            round(spent_s, 2),
-            self._sources,
-            self._tests,
+            identity=mutant.identity,
+            file=mutant.file,
+            text=str(mutant),
+            outcome=outcome,
+            by=by,
+            spent_s=round(spent_s, 2),
+            sources=self._sources,
+            tests=self._tests,
         )
 
 

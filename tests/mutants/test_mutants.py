@@ -109,7 +109,18 @@ def test_a_declaration_that_does_not_hold_is_an_error(
 
 
 def a_mutant(file: str, line: int) -> Mutant:
-    return Mutant(file, line, line, "", 0, 0, "constant", "1.5F", "15.0F", 0)
+    return Mutant(
+        file=file,
+        line=line,
+        last_line=line,
+        source_line="",
+        occurrence=0,
+        column=0,
+        kind="constant",
+        before="1.5F",
+        after="15.0F",
+        start=0,
+    )
 
 
 def test_a_constant_is_reached_by_the_tests_of_what_uses_it() -> None:
@@ -222,7 +233,16 @@ def test_a_fork_that_fails_reports_its_last_lines_and_not_a_wait_status() -> Non
 
 
 def a_result(outcome: str, sources_digest: str = "s", tests_digest: str = "t") -> Result:
-    return Result("id", "a.cpp", "a.cpp:1: < -> <=", outcome, "test_a", 0.1, sources_digest, tests_digest)
+    return Result(
+        identity="id",
+        file="a.cpp",
+        text="a.cpp:1: < -> <=",
+        outcome=outcome,
+        by="test_a",
+        spent_s=0.1,
+        sources=sources_digest,
+        tests=tests_digest,
+    )
 
 
 def test_a_killed_mutant_stays_killed_when_tests_are_added_and_a_survivor_is_tried_again(

@@ -13,9 +13,17 @@ from typing import Final
 import casadi as ca
 from heli_sim.errors import PlantError
 
-_F64: Final = 0x7C
+# Bytes of WebAssembly: types, sections and instructions. All arithmetic is on doubles, f64.
+_F64, _POINTER, _SIGNATURE = 0x7C, 0x7F, 0x60
+_TYPES, _IMPORTS, _FUNCTION_TYPES, _EXPORTS, _BODIES = 1, 2, 3, 7, 10
 _GET, _SET, _LOAD, _STORE, _CONST = 0x20, 0x21, 0x2B, 0x39, 0x44
+_ALIGNED_8: Final = 3
+"""Alignment of a load or a store, as an exponent of 2."""
 _CONVERT_I32: Final = 0xB7
+_MUL, _DIV, _EQUAL, _UNEQUAL, _LESS, _GREATER = b"\xa2", b"\xa3", b"\x61", b"\x62", b"\x63", b"\x64"
+_AND, _OR, _CALL, _END = b"\x71", b"\x72", b"\x10", b"\x0b"
+_SELECT: Final = b"\x1b"
+"""Of two values, the first where the condition above them on the stack is not 0."""
 _ZERO: Final = bytes([_CONST]) + struct.pack("<d", 0.0)
 _UNARY: Final = {ca.OP_NEG: 0x9A, ca.OP_SQRT: 0x9F, ca.OP_FABS: 0x99, ca.OP_FLOOR: 0x9C, ca.OP_CEIL: 0x9B}
 _BINARY: Final = {
@@ -50,35 +58,36 @@ def plant_module(function: ca.Function) -> bytes:
     inputs, outputs = function.n_in(), function.n_out()
     unary, binary, step = range(3)
     types = [
-        b"\x60\x01\x7c\x01\x7c",
-        b"\x60\x02\x7c\x7c\x01\x7c",
-        b"\x60" + _vector([b"\x7f"] * (inputs + outputs)) + b"\x00",
+        _signature([_F64], [_F64]),
+        _signature([_F64, _F64], [_F64]),
+        _signature([_POINTER] * (inputs + outputs), []),
     ]
+    # One page of memory at least, then the functions of mathematics, each with the index of its type.
     imports = [_name("env") + _name("memory") + b"\x02\x00\x01"]
     for name in _FUNCTIONS:
         kind = unary if name in _CALL_1.values() else binary
         imports.append(_name("env") + _name(f"math_{name}") + b"\x00" + _number(kind))
-    body = _vector([_number(function.sz_w()) + bytes([_F64])]) + _code(function, inputs, outputs) + b"\x0b"
+    body = _vector([_number(function.sz_w()) + bytes([_F64])]) + _code(function, inputs, outputs) + _END
     exported = _name("step") + b"\x00" + _number(len(_FUNCTIONS))
     return b"\0asm\x01\0\0\0" + b"".join(
-        bytes([kind]) + _number(len(content)) + content
-        for kind, content in (
-            (1, _vector(types)),
-            (2, _vector(imports)),
-            (3, _vector([_number(step)])),
-            (7, _vector([exported])),
-            (10, _vector([_number(len(body)) + body])),
+        bytes([section]) + _number(len(content)) + content
+        for section, content in (
+            (_TYPES, _vector(types)),
+            (_IMPORTS, _vector(imports)),
+            (_FUNCTION_TYPES, _vector([_number(step)])),
+            (_EXPORTS, _vector([exported])),
+            (_BODIES, _vector([_number(len(body)) + body])),
         )
     )
 
 
 def _code(function: ca.Function, inputs: int, outputs: int) -> bytes:
     """Return the instructions of a function; arguments and results are the first locals."""
-    first = inputs + outputs
+    first_work = inputs + outputs
     code = bytearray()
 
     def get(work: int) -> bytes:
-        return bytes([_GET]) + _number(first + work)
+        return bytes([_GET]) + _number(first_work + work)
 
     for k in range(function.n_instructions()):
         operation, source, target = (
@@ -87,16 +96,18 @@ def _code(function: ca.Function, inputs: int, outputs: int) -> bytes:
             function.instruction_output(k),
         )
         if operation == ca.OP_OUTPUT:
-            code += bytes([_GET]) + _number(inputs + target[0]) + get(source[0])
-            code += bytes([_STORE, 3]) + _number(8 * target[1])
+            output, element = target
+            code += bytes([_GET]) + _number(inputs + output) + get(source[0])
+            code += bytes([_STORE, _ALIGNED_8]) + _number(8 * element)
             continue
         if operation == ca.OP_INPUT:
-            code += bytes([_GET]) + _number(source[0]) + bytes([_LOAD, 3]) + _number(8 * source[1])
+            pointer, element = source
+            code += bytes([_GET]) + _number(pointer) + bytes([_LOAD, _ALIGNED_8]) + _number(8 * element)
         elif operation == ca.OP_CONST:
             code += bytes([_CONST]) + struct.pack("<d", function.instruction_constant(k))
         else:
             code += _operation(operation, [get(work) for work in source])
-        code += bytes([_SET]) + _number(first + target[0])
+        code += bytes([_SET]) + _number(first_work + target[0])
     return bytes(code)
 
 
@@ -113,25 +124,26 @@ def _operation(operation: int, get: list[bytes]) -> bytes:
         return operands + bytes([_COMPARE[operation], _CONVERT_I32])
     if operation in _CALL_1 or operation in _CALL_2:
         name = _CALL_1.get(operation) or _CALL_2[operation]
-        return operands + b"\x10" + _number(_FUNCTIONS.index(name))
+        return operands + _CALL + _number(_FUNCTIONS.index(name))
     if operation == ca.OP_SQ:
-        return get[0] + get[0] + b"\xa2"
+        return get[0] + get[0] + _MUL
     if operation == ca.OP_TWICE:
-        return bytes([_CONST]) + struct.pack("<d", 2.0) + get[0] + b"\xa2"
+        return bytes([_CONST]) + struct.pack("<d", 2.0) + get[0] + _MUL
     if operation == ca.OP_INV:
-        return bytes([_CONST]) + struct.pack("<d", 1.0) + get[0] + b"\xa3"
+        return bytes([_CONST]) + struct.pack("<d", 1.0) + get[0] + _DIV
     if operation == ca.OP_NOT:
-        return get[0] + _ZERO + b"\x61" + bytes([_CONVERT_I32])
+        return get[0] + _ZERO + _EQUAL + bytes([_CONVERT_I32])
     if operation in (ca.OP_AND, ca.OP_OR):
-        flags = b"".join(part + _ZERO + b"\x62" for part in get)
-        return flags + (b"\x71" if operation == ca.OP_AND else b"\x72") + bytes([_CONVERT_I32])
+        flags = b"".join(part + _ZERO + _UNEQUAL for part in get)
+        return flags + (_AND if operation == ca.OP_AND else _OR) + bytes([_CONVERT_I32])
     if operation == ca.OP_IF_ELSE_ZERO:
-        return get[1] + _ZERO + get[0] + _ZERO + b"\x62\x1b"
+        condition, value = get
+        return value + _ZERO + condition + _ZERO + _UNEQUAL + _SELECT
     if operation == ca.OP_SIGN:
         # As in CasADi's C: -1, 0 or 1, and NaN stays.
-        signs = [bytes([_CONST]) + struct.pack("<d", sign) for sign in (-1.0, 1.0)]
-        above = signs[1] + get[0] + get[0] + _ZERO + b"\x64\x1b"
-        return signs[0] + above + get[0] + _ZERO + b"\x63\x1b"
+        minus_1, plus_1 = (bytes([_CONST]) + struct.pack("<d", sign) for sign in (-1.0, 1.0))
+        not_negative = plus_1 + get[0] + get[0] + _ZERO + _GREATER + _SELECT
+        return minus_1 + not_negative + get[0] + _ZERO + _LESS + _SELECT
     name = next((name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == operation), "")
     raise PlantError(f"the page has no operation {name}", "leave out the effect that contains it")
 
@@ -144,6 +156,16 @@ def _number(value: int) -> bytes:
         out.append(low | (0x80 if value else 0))
         if not value:
             return bytes(out)
+
+
+def _signature(arguments: list[int], results: list[int]) -> bytes:
+    return (
+        bytes([_SIGNATURE])
+        + _number(len(arguments))
+        + bytes(arguments)
+        + _number(len(results))
+        + bytes(results)
+    )
 
 
 def _name(text: str) -> bytes:
