@@ -270,7 +270,18 @@ def test_the_remedy_follows_from_what_is_plugged_in(
 @pytest.fixture
 def flight(tmp_path: Path) -> Path:
     t_s = np.linspace(0.0, 0.99, 100, dtype=np.float64)
-    write_csv(Flight(t_s, t_s, t_s, t_s, t_s, t_s, meta={"rig": "mine"}), tmp_path / "a.csv")
+    write_csv(
+        Flight(
+            t_s=t_s,
+            front_V=t_s,
+            back_V=t_s,
+            elevation_rad=t_s,
+            pitch_rad=t_s,
+            travel_rad=t_s,
+            meta={"rig": "mine"},
+        ),
+        tmp_path / "a.csv",
+    )
     return tmp_path / "a.csv"
 
 

@@ -206,7 +206,15 @@ def test_help_imports_nothing_heavy() -> None:
     ],
 )
 def test_a_flight_that_ended_early_says_what_to_do(outcome: str, message: str) -> None:
-    summary = FlightSummary(outcome, 1.0, 1000, 0, {}, {}, {})
+    summary = FlightSummary(
+        outcome=outcome,
+        duration_s=1.0,
+        ticks_logged=1000,
+        ticks_lost=0,
+        rms_error_deg={},
+        max_error_deg={},
+        link={},
+    )
     with pytest.raises(FlightAborted) as ended:
         FlownFlight(summary, Path("f.mcap"), (), None, None).raise_if_not_completed()
     assert str(ended.value) == message

@@ -230,7 +230,7 @@ def _judged(
     # The lower stop of elevation is the table, which does no harm.
     touched[:, 0] = true_deg[:, 0] > stops_deg[0] - _STOP_MARGIN_DEG
     away_deg = float(np.max(np.abs(true_deg[:, axis] - setpoint_deg)))
-    return Seen(case, outcome, acted_s, away_deg, bool(touched.any()))
+    return Seen(case, outcome, acted_s=acted_s, away_deg=away_deg, stop=bool(touched.any()))
 
 
 HEAD: Final = (

@@ -36,7 +36,9 @@ def hold_still(_: Sample) -> tuple[float, float]:
 
 def still_flight() -> Flight:
     t_s, nothing = np.linspace(0.0, 0.09, 10), np.zeros(10)
-    return Flight(t_s, nothing, nothing, nothing, nothing, nothing)
+    return Flight(
+        t_s=t_s, front_V=nothing, back_V=nothing, elevation_rad=nothing, pitch_rad=nothing, travel_rad=nothing
+    )
 
 
 def law() -> Law:

@@ -175,7 +175,12 @@ def test_any_name_of_a_column_becomes_one_that_ros_2_takes(
     t_s = np.asarray(np.arange(12) * 0.1, np.float64)
     extra = {name: t_s for name in names if name != "t_s"}
     path = tmp_path_factory.getbasetemp() / "named.mcap"
-    export_ros2(Flight(t_s, t_s, t_s, t_s, t_s, t_s, extra=extra), path)
+    export_ros2(
+        Flight(
+            t_s=t_s, front_V=t_s, back_V=t_s, elevation_rad=t_s, pitch_rad=t_s, travel_rad=t_s, extra=extra
+        ),
+        path,
+    )
     schema = next(text for text in schemas(path) if text.startswith("# One row"))
     fields = [line.split()[1] for line in schema.splitlines()[1:]]
     assert len(set(fields)) == len(fields) == 6 + len(extra)
@@ -338,12 +343,12 @@ def second_order(state: bool = True, ramp_s: float = 0.0) -> Flight:
     wanted = np.clip(since / ramp_s, 0.0, 1.0) if ramp_s else (t_s >= AT_s).astype(float)
     zero = np.zeros_like(t_s)
     return Flight(
-        t_s,
-        zero + 1.5,
-        zero + 2.5,
-        zero + 0.01,
-        zero,
-        np.deg2rad(STEP_deg) * share,
+        t_s=t_s,
+        front_V=zero + 1.5,
+        back_V=zero + 2.5,
+        elevation_rad=zero + 0.01,
+        pitch_rad=zero,
+        travel_rad=np.deg2rad(STEP_deg) * share,
         elevation_setpoint_rad=zero,
         pitch_setpoint_rad=zero,
         travel_setpoint_rad=np.deg2rad(STEP_deg) * wanted,
@@ -443,7 +448,7 @@ def test_a_sine_has_no_steps_at_any_rate_of_samples() -> None:
         zero = np.zeros_like(t_s)
         sine = np.deg2rad(4.0) * np.sin(2.0 * np.pi * t_s / 15.0)
         flight = Flight(
-            t_s, zero, zero, sine, zero, sine,
+            t_s=t_s, front_V=zero, back_V=zero, elevation_rad=sine, pitch_rad=zero, travel_rad=sine,
             elevation_setpoint_rad=sine, pitch_setpoint_rad=zero, travel_setpoint_rad=5.0 * sine,
         )  # fmt: skip
         assert not steps(flight, "elevation") and not steps(flight, "travel")
@@ -454,7 +459,17 @@ def test_all_steps_are_found_and_the_largest_is_reported() -> None:
     t_s = np.arange(0.0, 30.0, 0.001)
     zero = np.zeros_like(t_s)
     wanted = np.deg2rad(np.select([t_s < 5.0, t_s < 15.0], [0.0, 6.0], -4.0))
-    flight = Flight(t_s, zero, zero, zero, zero, wanted, zero, zero, wanted)
+    flight = Flight(
+        t_s=t_s,
+        front_V=zero,
+        back_V=zero,
+        elevation_rad=zero,
+        pitch_rad=zero,
+        travel_rad=wanted,
+        elevation_setpoint_rad=zero,
+        pitch_setpoint_rad=zero,
+        travel_setpoint_rad=wanted,
+    )
     assert [(step.start_s, round(step.size_deg, 6)) for step in steps(flight, "travel")] == [
         (pytest.approx(5.0), 6.0),
         (pytest.approx(15.0), -10.0),

@@ -271,7 +271,14 @@ def test_a_part_keeps_its_time_axis_and_its_events(tmp_path: Path) -> None:
 def test_columns_of_different_length_are_refused() -> None:
     ten, nine = np.zeros(10), np.zeros(9)
     with pytest.raises(FlightDataError, match="pitch_rad"):
-        Flight(np.linspace(0.0, 0.9, 10), ten, ten, ten, nine, ten)
+        Flight(
+            t_s=np.linspace(0.0, 0.9, 10),
+            front_V=ten,
+            back_V=ten,
+            elevation_rad=ten,
+            pitch_rad=nine,
+            travel_rad=ten,
+        )
 
 
 @pytest.mark.medium
@@ -322,7 +329,14 @@ def test_a_flight_says_how_long_how_fast_which_rig_and_which_states(flight: Flig
         "idle 6 %, armed 2 %, closed_loop 80 %, landing 12 %>"
     )
     empty = np.zeros(0)
-    assert repr(Flight(empty, empty, empty, empty, empty, empty)) == "<Flight: no rows>"
+    assert (
+        repr(
+            Flight(
+                t_s=empty, front_V=empty, back_V=empty, elevation_rad=empty, pitch_rad=empty, travel_rad=empty
+            )
+        )
+        == "<Flight: no rows>"
+    )
 
 
 @pytest.mark.parametrize("hertz", [0.5, 1.0, 2.0])

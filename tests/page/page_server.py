@@ -74,7 +74,9 @@ def page_of_a_simulated_board(
 
         plans = [short, *(load_plan(name) for name in plan_names())]
         rig = outline(RIG)
-        cockpit = Cockpit(heli, new_recorder, plans, "simulated board", rig, laws=laws, rig_name=RIG)
+        cockpit = Cockpit(
+            heli, new_recorder, plans=plans, board="simulated board", rig=rig, laws=laws, rig_name=RIG
+        )
         try:
             with serving(cockpit) as address:
                 yield Served(heli, address, folder)

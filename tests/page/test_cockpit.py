@@ -93,7 +93,12 @@ def test_a_closed_page_is_the_cause_on_the_page_and_in_the_log(tmp_path: Path) -
     absence = [""]
     with heli_host.connect("sil://?speed=max") as heli:
         cockpit = Cockpit(
-            heli, lambda *_: Recorder(heli, tmp_path / "a.mcap"), [], "board", {}, rig_name="mine"
+            heli,
+            lambda *_: Recorder(heli, tmp_path / "a.mcap"),
+            plans=[],
+            board="board",
+            rig={},
+            rig_name="mine",
         )
         cockpit.watch_pilot(lambda: not absence[0], lambda: absence[0])
         cockpit.actions["record"].run({"on": True})

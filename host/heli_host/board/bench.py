@@ -56,7 +56,16 @@ class Bench:
                 names = ", ".join(member.name.lower() for member in Excitation if member)
                 raise ParameterError(f"unknown excitation {kind}", f"choose from {names}")
             kind = Excitation[kind.upper()]
-        message = ExciteMessage(UNNUMBERED, int(kind), front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
+        message = ExciteMessage(
+            request=UNNUMBERED,
+            kind=int(kind),
+            front_V=front_V,
+            back_V=back_V,
+            start_Hz=start_Hz,
+            stop_Hz=stop_Hz,
+            duration_s=duration_s,
+            seed=seed,
+        )
         self._session.command(message)
 
     def excite_stop(self) -> None:

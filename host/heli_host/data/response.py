@@ -351,13 +351,13 @@ def _response(flight: Flight, axis: str) -> Response:
         )
     metrics = largest.metrics
     return Response(
-        axis,
-        largest.start_s,
-        largest.size_deg,
-        metrics.rise_s,
-        metrics.overshoot_percent,
-        metrics.settling_s,
-        rms_deg,
+        axis=axis,
+        step_s=largest.start_s,
+        step_deg=largest.size_deg,
+        rise_s=metrics.rise_s,
+        overshoot_percent=metrics.overshoot_percent,
+        settling_s=metrics.settling_s,
+        rms_deg=rms_deg,
     )
 
 

@@ -249,7 +249,16 @@ class Plan:
             if segment.kind == "land":
                 raise PlanError(f"{segment.where}: another segment follows", "put land last, or leave it out")
         tolerance = Tolerance.read(tolerance_table, f"{source}, tolerance")
-        return Plan(name, source, table.text("title", name), closed_axes, start, segments, text, tolerance)
+        return Plan(
+            name=name,
+            source=source,
+            title=table.text("title", name),
+            axes=closed_axes,
+            start=start,
+            segments=segments,
+            text=text,
+            tolerance=tolerance,
+        )
 
     @cached_property
     def route(self) -> Route:

@@ -196,7 +196,14 @@ class Route:
         excitation: PlannedExcitation | None = None,
     ) -> Route:
         """Return the route with one more piece."""
-        piece = Piece(phase, name, self.duration_s, duration_s, shape, excitation)
+        piece = Piece(
+            phase=phase,
+            name=name,
+            start_s=self.duration_s,
+            duration_s=duration_s,
+            shape=shape,
+            excitation=excitation,
+        )
         return Route(self.start_deg, (*self.pieces, piece))
 
     def piece_at(self, t_s: float) -> Piece | None:
@@ -454,7 +461,12 @@ def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 
     keys = tuple(f"{axis}_amplitude_deg" for axis in AXES)
     return Segment(
-        "sine", table.where, motion, keys, "period_s", _read_simultaneous_excitation(table, duration_s)
+        "sine",
+        table.where,
+        motion=motion,
+        limit_keys=keys,
+        rate_key="period_s",
+        excitation=_read_simultaneous_excitation(table, duration_s),
     )
 
 
@@ -572,7 +584,15 @@ def _read_excitation_table(table: PlanTable, duration_s: float) -> PlannedExcita
     seed = int(table.number("seed", SEED, 1))
     if signal == "prbs" and seed == 0:
         table.fail("seed is 0", "give a whole number from 1")
-    return PlannedExcitation(signal, front_V, back_V, start_Hz, stop_Hz, duration_s, seed)
+    return PlannedExcitation(
+        signal=signal,
+        front_V=front_V,
+        back_V=back_V,
+        start_Hz=start_Hz,
+        stop_Hz=stop_Hz,
+        duration_s=duration_s,
+        seed=seed,
+    )
 
 
 def _read_land(table: PlanTable, commanded: tuple[str, ...]) -> Segment:

@@ -128,13 +128,13 @@ def fly(
             twin.listen(lambda news: recorder.note(EVENT, news.text))
         with Interrupts() as interrupts:
             pilot = Pilot(
-                heli,
-                route,
-                read_plans[0].axes,
-                recorder,
-                on_progress,
-                tolerance,
-                interrupts,
+                heli=heli,
+                route=route,
+                axes=read_plans[0].axes,
+                recorder=recorder,
+                on_progress=on_progress,
+                tolerance=tolerance,
+                interrupts=interrupts,
                 end_when=end_when,
                 on_taken_off=on_taken_off,
             )

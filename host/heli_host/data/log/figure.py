@@ -216,7 +216,15 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
     ]
     for left_s, right_s, name in stretches:
         colour = _STATE_COLOURS.get(name, "#dddddd")
-        _draw_block(band, (left_s, right_s, 0.0), name.replace("_", " "), colour, flight.duration_s)
+        _draw_block(
+            band,
+            left_s,
+            right_s,
+            row=0,
+            text=name.replace("_", " "),
+            colour=colour,
+            total_s=flight.duration_s,
+        )
         for panel in panels:
             panel.axvspan(left_s, right_s, color=colour, alpha=0.28, lw=0, zorder=0)
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
@@ -230,18 +238,17 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
     ends_s = [*starts_s[1:], min(motors_off_s, default=flight.duration_s)]
     for event, start_s, end_s in zip(phases, starts_s, ends_s, strict=False):
         colour = "#f2f2f2" if event.text in (TAKE_OFF, LANDING) else "#c9d9ea"
-        _draw_block(band, (start_s, end_s, 1.0), event.text, colour, flight.duration_s)
+        _draw_block(band, start_s, end_s, row=1, text=event.text, colour=colour, total_s=flight.duration_s)
 
 
 def _draw_block(
-    band: Axes, extent: tuple[float, float, float], text: str, colour: str, total_s: float
+    band: Axes, left_s: float, right_s: float, *, row: int, text: str, colour: str, total_s: float
 ) -> None:
-    """Draw a coloured block with a text if it fits; `extent` has its start, its end and its lower edge."""
-    left_s, right_s, floor = extent
-    band.fill_between([left_s, right_s], floor + 0.06, floor + 0.94, color=colour, lw=0)
+    """Draw a coloured block in a row of the band, and its text if it fits."""
+    band.fill_between([left_s, right_s], row + 0.06, row + 0.94, color=colour, lw=0)
     # A letter takes about 0.7 % of the width of the figure.
     if right_s - left_s > 0.0068 * len(text) * total_s:
-        band.text((left_s + right_s) / 2, floor + 0.47, text, ha="center", va="center", fontsize=8.5)
+        band.text((left_s + right_s) / 2, row + 0.47, text, ha="center", va="center", fontsize=8.5)
 
 
 def _draw_events(panels: Sequence[Axes], flight: Flight) -> None:

@@ -8,8 +8,9 @@ import secrets
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 import typer
@@ -59,6 +60,7 @@ if TYPE_CHECKING:
     from heli_host.data.log.summary import FlightSummary
     from heli_host.fly.plan import Plan
     from heli_host.fly.runner import Progress
+    from heli_host.ui.cli.live import LiveLine
 
 _DEFAULT_SEED: Final = 1
 _VERB_NAME: Final = "heli-host fly"
@@ -209,11 +211,10 @@ def fly_plans(
     parameters = (
         chosen_parameters(options.params, options.gains) if options.parameters is None else options.parameters
     )
-    log, json, figure = options.log, options.json, options.figure
-    check_result_places(json, figure=figure)
-    data_on_stdout(json)
-    if log is not None:
-        check_new(log)
+    check_result_places(options.json, figure=options.figure)
+    data_on_stdout(options.json)
+    if options.log is not None:
+        check_new(options.log)
     truth = None
     if options.blind and address is not None:
         truth = Truth.seal(options.simulation_settings(address, plan_names))
@@ -225,12 +226,9 @@ def fly_plans(
         if feed is not None:
             say_progress(f"viewers: {feed.address}")
         _set_up_board(heli, options, parameters)
-        everything = log is None and json is None and figure is None
-        folder = flight_folder() if log is None else log.parent
-        log = log if log is not None else folder / "flight.mcap"
-        json, figure = (folder / "summary.json", folder / "figure.png") if everything else (json, figure)
+        files = _result_files(options)
         text, transport = board_text(heli, hidden=options.blind), heli.session.transport
-        key = truth_path(log)
+        key = truth_path(files.log)
         if truth is not None:
             truth.write(key)
         if note := transport_note(transport):
@@ -238,23 +236,12 @@ def fly_plans(
         say_progress(text, f"flying: {', then '.join(plan.title for plan in plans)}")
         watch = open_watch(heli, maker)
         with LiveLine() as live:
-
-            def show(progress: Progress) -> None:
-                """Show the progress of the flight in the live line."""
-                live.show(
-                    progress.sample,
-                    progress.counters,
-                    t_s=progress.t_s,
-                    phase=progress.phase,
-                    left_s=progress.left_s,
-                )
-
             summary = fly(
                 heli,
                 plans,
-                log_path=log,
-                figure_path=figure,
-                on_progress=show,
+                log_path=files.log,
+                figure_path=files.figure,
+                on_progress=partial(_show_progress, live),
                 rig_name="" if options.blind else rig_name(options.rig, simulated=options.sil),
                 rig=options.rig or transport_rig(transport),
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
@@ -269,7 +256,31 @@ def fly_plans(
         lines.append(f"twin: {watch.words()}")
     if truth is not None:
         lines += [f"sealed: {truth.digest}", f"truth (keep it, share only the other files): {key}"]
-    return FlownFlight(summary, log, tuple(lines), json, figure)
+    return FlownFlight(summary, files.log, tuple(lines), files.json, files.figure)
+
+
+class _ResultFiles(NamedTuple):
+    """Where the results of a flight go; None: that result is not written."""
+
+    log: Path
+    json: Path | None
+    figure: Path | None
+
+
+def _result_files(options: FlightOptions) -> _ResultFiles:
+    """Return the files that the options name; if they name none, all three in a new folder."""
+    if options.log is None and options.json is None and options.figure is None:
+        folder = flight_folder()
+        return _ResultFiles(folder / "flight.mcap", folder / "summary.json", folder / "figure.png")
+    log = options.log if options.log is not None else flight_folder() / "flight.mcap"
+    return _ResultFiles(log, options.json, options.figure)
+
+
+def _show_progress(live: LiveLine, progress: Progress) -> None:
+    """Show the progress of the flight in the live line."""
+    live.show(
+        progress.sample, progress.counters, t_s=progress.t_s, phase=progress.phase, left_s=progress.left_s
+    )
 
 
 def _set_up_board(heli: Heli, options: FlightOptions, parameters: Mapping[str, float]) -> None:

@@ -165,12 +165,12 @@ class _PlanFlight:
         """Take off, fly the plans, land, and return the outcome. Blocks until the motors are off."""
         tolerance = Tolerance.widest([plan.tolerance for plan in self._plans])
         pilot = Pilot(
-            self._heli,
-            self._route,
-            self._plans[0].axes,
-            recorder,
-            self._store_progress,
-            tolerance,
+            heli=self._heli,
+            route=self._route,
+            axes=self._plans[0].axes,
+            recorder=recorder,
+            on_progress=self._store_progress,
+            tolerance=tolerance,
             on_taken_off=self._on_taken_off,
         )
         try:

@@ -142,7 +142,12 @@ def unpack(frame: bytes) -> Rows:
     offsets = np.frombuffer(frame, "<u4", rows, _HEADER.size)
     raw = np.frombuffer(frame, "<i4", rows * channels, _HEADER.size + 4 * rows)
     return Rows(
-        number, flags, state, fault, offsets.astype(np.int64) + int(first), raw.reshape(channels, rows).T
+        number=number,
+        flags=flags,
+        state=state,
+        fault=fault,
+        tick=offsets.astype(np.int64) + int(first),
+        raw=raw.reshape(channels, rows).T,
     )
 
 

@@ -131,16 +131,16 @@ def dashboard(
         rig=rig, seed=seed, board=board, elf=elf, model=model, effect=effect, effect_files=effect_file
     )
     _serve_board(
-        port,
-        address if sil else None,
-        rig,
-        offered_plans,
-        first_plans,
-        programs,
-        (read_twin(twin), lands),
-        host,
-        http_port,
-        foxglove,
+        port=port,
+        address=address if sil else None,
+        rig=rig,
+        plans=offered_plans,
+        first_plans=first_plans,
+        laws=programs,
+        twin=(read_twin(twin), lands),
+        host=host,
+        http_port=http_port,
+        foxglove=foxglove,
     )
 
 
@@ -194,7 +194,9 @@ def _serve_board(
         maker, lands = twin
         watch = open_watch(heli, maker, land if lands else None)
         name = rig_name(rig, simulated=address is not None)
-        cockpit = Cockpit(heli, new_recorder, plans, text, outline, watch, laws, rig_name=name)
+        cockpit = Cockpit(
+            heli, new_recorder, plans=plans, board=text, rig=outline, twin=watch, laws=laws, rig_name=name
+        )
         try:
             with serving(cockpit, host, http_port) as served:
                 _say_addresses(served)
