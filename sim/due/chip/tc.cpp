@@ -353,12 +353,12 @@ void TcChannel::settle() {
   if (!running_ || step() == 0 || pending()) return;
   const std::uint64_t now = ticks(system_.now());
   while (running_) {
-    const std::uint64_t a = is_wave() ? next_match(seen_ticks_, ra_) : kNever;
-    const std::uint64_t b = is_wave() ? next_match(seen_ticks_, rb_) : kNever;
-    const std::uint64_t c = next_match(seen_ticks_, rc_ == 0 && resets_at_rc() ? 0 : rc_);
+    const std::uint64_t at_ra = is_wave() ? next_match(seen_ticks_, ra_) : kNever;
+    const std::uint64_t at_rb = is_wave() ? next_match(seen_ticks_, rb_) : kNever;
+    const std::uint64_t at_rc = next_match(seen_ticks_, rc_ == 0 && resets_at_rc() ? 0 : rc_);
     const std::uint64_t overflow = (seen_ticks_ / kWhole + 1) * kWhole;
     const bool overflows = !resets_at_rc() && !updown();
-    const std::uint64_t first = std::min({a, b, c, overflows ? overflow : kNever});
+    const std::uint64_t first = std::min({at_ra, at_rb, at_rc, overflows ? overflow : kNever});
     if (first > now) break;
     // After a long time without a call, only the last two periods are applied one by one.
     if (now - first > 4 * period()) {
@@ -367,10 +367,10 @@ void TcChannel::settle() {
       continue;
     }
     seen_ticks_ = first;
-    if (a == first) matched(kCpas, mode_ >> kAcpa, 0);
-    if (b == first) matched(kCpbs, 0, mode_ >> kBcpb);
+    if (at_ra == first) matched(kCpas, mode_ >> kAcpa, 0);
+    if (at_rb == first) matched(kCpbs, 0, mode_ >> kBcpb);
     if (overflows && overflow == first) status_ |= kCovfs;
-    if (c == first) {
+    if (at_rc == first) {
       matched(kCpcs, mode_ >> kAcpc, mode_ >> kBcpc);
       const bool stops = is_wave() && (mode_ & kCpcStop) != 0;
       const bool disables = is_wave() && (mode_ & kCpcDis) != 0;
@@ -386,8 +386,9 @@ void TcChannel::settle() {
 
 // Schedules an event for the next compare that an interrupt, an output or CPCSTOP waits for.
 void TcChannel::plan() {
-  std::uint64_t when = kNever;
+  std::uint64_t due_cycle = kNever;
   if (running_ && step() != 0) {
+    std::uint64_t due_tick = kNever;
     const bool drives = is_wave() && (mode_ & kEffects) != 0;
     const bool stops = is_wave() && (mode_ & (kCpcStop | kCpcDis)) != 0;
     // Whether a compare must be acted on in time: `effects` are its fields in TC_CMR.
@@ -395,16 +396,17 @@ void TcChannel::plan() {
       return (interrupts_ & flag) != 0 || (drives && (mode_ & effects) != 0);
     };
     if (is_wave() && wanted(kCpas, 3U << kAcpa))
-      when = std::min(when, next_match(seen_ticks_, ra_));
+      due_tick = std::min(due_tick, next_match(seen_ticks_, ra_));
     if (is_wave() && wanted(kCpbs, 3U << kBcpb))
-      when = std::min(when, next_match(seen_ticks_, rb_));
+      due_tick = std::min(due_tick, next_match(seen_ticks_, rb_));
     if (wanted(kCpcs, (3U << kAcpc) | (3U << kBcpc)) || stops) {
-      when = std::min(when, next_match(seen_ticks_, rc_));
+      due_tick = std::min(due_tick, next_match(seen_ticks_, rc_));
     }
-    if ((interrupts_ & kCovfs) != 0) when = std::min(when, (seen_ticks_ / kWhole + 1) * kWhole);
-    if (when != kNever) when = (when + start_step_) * step();
+    if ((interrupts_ & kCovfs) != 0)
+      due_tick = std::min(due_tick, (seen_ticks_ / kWhole + 1) * kWhole);
+    if (due_tick != kNever) due_cycle = (due_tick + start_step_) * step();
   }
-  system_.scheduler.set(id_, when);
+  system_.scheduler.set(id_, due_cycle);
 }
 
 // A compare or an overflow for which plan() has scheduled this.

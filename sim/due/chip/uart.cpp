@@ -41,6 +41,15 @@ constexpr std::uint32_t kTnpr = 0x118;
 constexpr std::uint32_t kTncr = 0x11C;
 constexpr std::uint32_t kPtcr = 0x120;
 
+// UART_CR
+constexpr std::uint32_t kRstRx = 1U << 2;
+constexpr std::uint32_t kRstTx = 1U << 3;
+constexpr std::uint32_t kRxEn = 1U << 4;
+constexpr std::uint32_t kRxDis = 1U << 5;
+constexpr std::uint32_t kTxEn = 1U << 6;
+constexpr std::uint32_t kTxDis = 1U << 7;
+constexpr std::uint32_t kRstSta = 1U << 8;
+
 // UART_SR
 constexpr std::uint32_t kRxRdy = 1U << 0;
 constexpr std::uint32_t kTxRdy = 1U << 1;
@@ -228,16 +237,16 @@ void Uart::drain_receiver() {
 
 // UART_CR: bits 2 to 8 are RSTRX, RSTTX, RXEN, RXDIS, TXEN, TXDIS, RSTSTA.
 void Uart::control(std::uint32_t value) {
-  if ((value & (1U << 2)) != 0) rx_enabled_ = rx_ready_ = false;
-  if ((value & (1U << 3)) != 0) {
+  if ((value & kRstRx) != 0) rx_enabled_ = rx_ready_ = false;
+  if ((value & kRstTx) != 0) {
     tx_enabled_ = shifting_ = holding_full_ = false;
     system_.scheduler.set(id_, kNever);
   }
-  if ((value & (1U << 4)) != 0) rx_enabled_ = true;
-  if ((value & (1U << 5)) != 0) rx_enabled_ = false;
-  if ((value & (1U << 6)) != 0) tx_enabled_ = true;
-  if ((value & (1U << 7)) != 0) tx_enabled_ = false;
-  if ((value & (1U << 8)) != 0) errors_ = 0;
+  if ((value & kRxEn) != 0) rx_enabled_ = true;
+  if ((value & kRxDis) != 0) rx_enabled_ = false;
+  if ((value & kTxEn) != 0) tx_enabled_ = true;
+  if ((value & kTxDis) != 0) tx_enabled_ = false;
+  if ((value & kRstSta) != 0) errors_ = 0;
   feed_transmitter();
 }
 
@@ -307,8 +316,9 @@ void Uart::write_pdc(std::uint32_t offset, std::uint32_t value) {
       tx_.set_next_count(value);
       break;
     default:
-      if ((value & 1U) != 0) rx_.enabled = true;
-      if ((value & 2U) != 0) rx_.enabled = false;
+      // UART_PTCR: RXTEN, RXTDIS, TXTEN, TXTDIS.
+      if ((value & (1U << 0)) != 0) rx_.enabled = true;
+      if ((value & (1U << 1)) != 0) rx_.enabled = false;
       if ((value & (1U << 8)) != 0) tx_.enabled = true;
       if ((value & (1U << 9)) != 0) tx_.enabled = false;
       break;

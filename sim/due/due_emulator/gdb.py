@@ -104,7 +104,7 @@ class GdbServer:
 
     def answer(self, text: str) -> str:
         """The reply to the `text` of one packet; empty for one that is not supported."""
-        kind, rest = text[:1], text[1:]
+        kind, arguments = text[:1], text[1:]
         simple: dict[str, Callable[[str], str]] = {
             "?": lambda _: self._last_stop,
             "g": lambda _: self._read_registers(),
@@ -121,26 +121,26 @@ class GdbServer:
             "T": lambda _: "OK",
         }
         if kind == "q":
-            return self._query(rest)
+            return self._query(arguments)
         if kind in simple:
             try:
-                return simple[kind](rest)
+                return simple[kind](arguments)
             except (ValueError, IndexError):
                 return "E01"
         return ""
 
-    def _query(self, rest: str) -> str:
-        if rest.startswith("Supported"):
+    def _query(self, arguments: str) -> str:
+        if arguments.startswith("Supported"):
             return "PacketSize=4000;qXfer:features:read+;qXfer:memory-map:read+"
-        if rest.startswith("Xfer:features:read:target.xml:"):
-            return self._part(_TARGET, rest)
-        if rest.startswith("Xfer:memory-map:read::"):
-            return self._part(_MEMORY, rest)
-        return {"Attached": "1", "fThreadInfo": "m1", "sThreadInfo": "l", "C": "QC1"}.get(rest, "")
+        if arguments.startswith("Xfer:features:read:target.xml:"):
+            return self._part(_TARGET, arguments)
+        if arguments.startswith("Xfer:memory-map:read::"):
+            return self._part(_MEMORY, arguments)
+        return {"Attached": "1", "fThreadInfo": "m1", "sThreadInfo": "l", "C": "QC1"}.get(arguments, "")
 
     @staticmethod
-    def _part(text: str, rest: str) -> str:
-        offset, length = (int(value, 16) for value in rest.rsplit(":", 1)[1].split(","))
+    def _part(text: str, arguments: str) -> str:
+        offset, length = (int(value, 16) for value in arguments.rsplit(":", 1)[1].split(","))
         piece = text[offset : offset + length]
         return ("l" if offset + length >= len(text) else "m") + piece
 
@@ -161,28 +161,28 @@ class GdbServer:
         else:
             raise IndexError(index)
 
-    def _write_register(self, rest: str) -> str:
-        index, value = rest.split("=")
+    def _write_register(self, arguments: str) -> str:
+        index, value = arguments.split("=")
         self._set(int(index, 16), int.from_bytes(bytes.fromhex(value), "little"))
         return "OK"
 
-    def _write_registers(self, rest: str) -> str:
-        data = bytes.fromhex(rest)
+    def _write_registers(self, arguments: str) -> str:
+        data = bytes.fromhex(arguments)
         for index in range(min(len(data) // 4, _XPSR + 1)):
             self._set(index, int.from_bytes(data[4 * index : 4 * index + 4], "little"))
         return "OK"
 
-    def _read_memory(self, rest: str) -> str:
-        address, size = (int(value, 16) for value in rest.split(","))
+    def _read_memory(self, arguments: str) -> str:
+        address, size = (int(value, 16) for value in arguments.split(","))
         return self._due.peek(address, size).hex()
 
-    def _write_memory(self, rest: str) -> str:
-        where, data = rest.split(":")
+    def _write_memory(self, arguments: str) -> str:
+        where, data = arguments.split(":")
         self._due.poke(int(where.split(",")[0], 16), bytes.fromhex(data))
         return "OK"
 
-    def _breakpoint(self, rest: str, *, insert: bool) -> str:
-        kind, address = rest.split(",")[:2]
+    def _breakpoint(self, arguments: str, *, insert: bool) -> str:
+        kind, address = arguments.split(",")[:2]
         if kind not in ("0", "1"):
             return ""
         if insert:

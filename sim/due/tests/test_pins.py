@@ -94,7 +94,6 @@ def test_D4_and_PA29_are_one_wire() -> None:
         chip["PIOA.OER"] = 1 << 29
 
 
-LOW = True  # PWML
 CENTER = 1 << 8
 CPOL = 1 << 9
 GROUP = 0xF1
@@ -124,7 +123,7 @@ def group() -> Chip:
     return chip
 
 
-def high_cycles(chip: Chip, channel: int, low_side: bool, cycles: int) -> int:
+def high_cycles(chip: Chip, channel: int, *, low_side: bool, cycles: int) -> int:
     before = chip.due.pwm_high_cycles(channel, low_side)
     chip.run_cycles(cycles)
     return chip.due.pwm_high_cycles(channel, low_side) - before
@@ -138,8 +137,8 @@ def test_duty_is_what_the_datasheet_computes(mode: int, duty: int) -> None:
     cycles = period * (2 if mode & CENTER else 1)
     # CPOL = 0: duty of OC = (period - CDTY) / period; PWMH is OC, PWML its complement.
     oc = duty if mode & CPOL else period - duty
-    assert high_cycles(chip, 4, not LOW, 10 * cycles) == 10 * cycles * oc // period
-    assert high_cycles(chip, 4, LOW, 10 * cycles) == 10 * cycles * (period - oc) // period
+    assert high_cycles(chip, 4, low_side=False, cycles=10 * cycles) == 10 * cycles * oc // period
+    assert high_cycles(chip, 4, low_side=True, cycles=10 * cycles) == 10 * cycles * (period - oc) // period
 
 
 @pytest.mark.parametrize(("mode", "clock", "expected_Hz"), [
@@ -209,10 +208,10 @@ def test_synchronous_channels_change_together_once_unlocked() -> None:
 def test_override_holds_an_output_whatever_the_channel_does() -> None:
     chip = started(CPOL, 2100, 0)
     chip["PWM.OOV"] = 0
-    chip["PWM.OSS"] = 1 << 20
-    assert high_cycles(chip, 4, LOW, 21000) == 0
-    chip["PWM.OSC"] = 1 << 20
-    assert high_cycles(chip, 4, LOW, 21000) > 0
+    chip["PWM.OSS"] = 1 << 20  # PWML4 takes its level from OOV, 0.
+    assert high_cycles(chip, 4, low_side=True, cycles=21000) == 0
+    chip["PWM.OSC"] = 1 << 20  # The channel drives it again.
+    assert high_cycles(chip, 4, low_side=True, cycles=21000) > 0
 
 
 def armed_fault(latched: bool) -> Chip:
