@@ -90,6 +90,35 @@ def fixed_point(notes: Notes, _laws: Any) -> None:
     )
 
 
+def _changed_row(row: list[int], size: int, chance: random.Random) -> list[int]:
+    """Return a row of which some numbers changed by at most `size`, each within the range of its channel."""
+    changed = [value + chance.randrange(-size, size + 1) if chance.random() < 0.3 else value for value in row]
+    # Large changes need the range of 32 bits; after small ones the numbers stay within 16.
+    low, high = (-(1 << 15), (1 << 15) - 1) if size < 1 << 20 else (-(1 << 31), (1 << 31) - 1)
+    return [
+        min(max(value, 0), 255) if channel.scale == 1.0 and channel.kind else min(max(value, low), high)
+        for value, channel in zip(changed, d.CHANNELS, strict=True)
+    ]
+
+
+def _command_frame(k: int, chance: random.Random) -> bytes:
+    """Return a command, sometimes with a request or a sequence number that another has had."""
+    kind, *fields = chance.choice(
+        (
+            (d.PingMessage, k),
+            (d.StopMessage,),
+            (d.ArmMessage,),
+            (d.StatusReadMessage,),
+            (d.ControllerReadMessage, k % 4),
+            (d.ParamsReadMessage, k % 70),
+            (d.ControlMessage, 7, 1.0, 2.0),
+        )
+    )
+    request = chance.choice((k & 0xFF, 5))
+    sequence = k & 0xFF if chance.random() < 0.9 else 3
+    return encode_frame(kind.ID, sequence, kind(request, *fields).pack())
+
+
 def line_under_load(notes: Notes, _laws: Any) -> None:
     """Samples and events of any size, commands and streams, while the transmitter takes little or nothing."""
     chance = notes.chance
@@ -104,34 +133,12 @@ def line_under_load(notes: Notes, _laws: Any) -> None:
     for k in range(3500):
         harness.begin_tick(tick)
         size = chance.choice((0, 1, 2, 7, 8, 100, 127, 128, 30000, 1 << 30))
-        row = [value + chance.randrange(-size, size + 1) if chance.random() < 0.3 else value for value in row]
-        row = [
-            min(max(value, 0), 255)
-            if channel.scale == 1.0 and channel.kind
-            else min(max(value, -32768), 32767)
-            if size < 1 << 20
-            else max(min(value, 2**31 - 1), -(2**31))
-            for value, channel in zip(row, d.CHANNELS, strict=True)
-        ]
+        row = _changed_row(row, size, chance)
         harness.push_samples(tick, np.array([row], np.int32))
         if chance.random() < 0.05:
             harness.push_event(tick, chance.randrange(20))
         if chance.random() < 0.15:
-            kind, *fields = chance.choice(
-                (
-                    (d.PingMessage, k),
-                    (d.StopMessage,),
-                    (d.ArmMessage,),
-                    (d.StatusReadMessage,),
-                    (d.ControllerReadMessage, k % 4),
-                    (d.ParamsReadMessage, k % 70),
-                    (d.ControlMessage, 7, 1.0, 2.0),
-                )
-            )
-            number = chance.choice((k & 0xFF, 5))
-            harness.receive(
-                encode_frame(kind.ID, k & 0xFF if chance.random() < 0.9 else 3, kind(number, *fields).pack())
-            )
+            harness.receive(_command_frame(k, chance))
         for _ in range(chance.choice((0, 0, 0, 1, 6))):
             stream: Any = chance.choice(
                 (
@@ -379,9 +386,9 @@ def moved_by_hand(board: Board, _laws: Laws) -> None:
     # As many late ticks as overrun_max tolerates, then one.
     for late_ticks in (10, 1):
         board.ask(d.ArmMessage)
-        board.late = True
+        board.is_late = True
         board.run(late_ticks)
-        board.late = False
+        board.is_late = False
         board.ask(d.ControlMessage, axes=NO_AXES, front_V=0.2, back_V=0.2)
     board.ask(d.ClearFaultMessage)
     for stop in (True, False):
@@ -624,6 +631,7 @@ def law(board: Board, laws: Laws, name: str = "steady") -> None:
         board.ask(d.LawFlyMessage, on=on)
     wander(board, 3.0, span_deg=(4.0, 2.0, 15.0))
     board.ask(d.LawSetMessage, index=0, value=1.2)
+    # Both refused: the law has no such parameter, and a law that flies is not replaced.
     board.ask(d.LawSetMessage, index=9, value=1.2)
     board.ask(d.LawBeginMessage, hash=1, words=20)
     board.ask(
@@ -724,13 +732,13 @@ SCRIPTS: Final[dict[str, Script]] = {
     "law that jumps": Script(partial(law, name="jumps")),
     "law without numbers": Script(partial(law, name="divides by zero")),
     "law with wishes": Script(partial(law, name="own setpoints")),
-    "law at rest": Script(law_rests, {"stir_rad_s2": 0.9, "friction_rad_s2": 0.03}),
+    "law at rest": Script(law_rests, {"pitch_gust_rad_s2": 0.9, "friction_rad_s2": 0.03}),
     "law that sinks": Script(law_sinks, {"gain": 0.8}),
     "elevation encoder dies often": Script(partial(encoders_die, axis=0), _ROUGH),
     "pitch encoder dies often": Script(partial(encoders_die, axis=1), _ROUGH),
     "travel encoder dies often": Script(partial(encoders_die, axis=2), _ROUGH),
-    "probes 1": Script(probes, {"stir_rad_s2": 0.9}),
-    "probes 2": Script(probes, {"stir_rad_s2": 0.9}),
+    "probes 1": Script(probes, {"pitch_gust_rad_s2": 0.9}),
+    "probes 2": Script(probes, {"pitch_gust_rad_s2": 0.9}),
     "laws that throw often 1": Script(thrown, {"gust_rad_s2": 0.1}),
     "laws that throw often 2": Script(thrown, {"gust_rad_s2": 0.1}),
 }

@@ -26,10 +26,12 @@ WINDOW_ms: Final = 500
 """Time of one fingerprint: short enough to show where a flight first differs."""
 RAD: Final = 3.14159265358979 / 180.0
 REST_DEG: Final = -25.0
-COUNTS: Final = 4096
+COUNTS_PER_REV: Final = 4096
 SUPPLY_DUTY: Final = 2100
 """Duty of the Due at `supply_V`, in counts."""
 PAGE_BYTES: Final = 512
+
+ELEVATION, PITCH, TRAVEL = range(3)
 
 Words = Sequence[int]
 Laws = dict[str, tuple[Words, int]]
@@ -42,10 +44,8 @@ class Arm:
 
     chance: random.Random  # Decides on the gusts
     friction_rad_s2: float = 0.0  # Acceleration of travel that dry friction takes up [rad/s2]
-    # Range of the disturbing acceleration of all axes, and of pitch if that differs [rad/s2]
-    gust_rad_s2: float = 0.0
-    # Range of the disturbing acceleration of all axes, and of pitch if that differs [rad/s2]
-    stir_rad_s2: float = 0.0
+    gust_rad_s2: float = 0.0  # Range of the disturbing acceleration of all axes [rad/s2]
+    pitch_gust_rad_s2: float = 0.0  # Of pitch, if not as of the other axes [rad/s2]
     gain: float = 1.0  # Acceleration of elevation and pitch, as a multiple of what the parameters say
     angle: list[float] = field(init=False, default_factory=lambda: [REST_DEG * RAD, 0.0, 0.0])
     rate: list[float] = field(init=False, default_factory=lambda: [0.0, 0.0, 0.0])
@@ -57,28 +57,32 @@ class Arm:
         for k, volts_V in enumerate((front_V, back_V)):
             lift_V = max(0.0, abs(volts_V) - DEFAULT["dead_zone_V"]) * (1.0 if volts_V > 0.0 else -1.0)
             self.lift_V[k] += (lift_V - self.lift_V[k]) * 0.02
-        total_V, difference_V = self.lift_V[0] + self.lift_V[1], self.lift_V[0] - self.lift_V[1]
+        front_lift_V, back_lift_V = self.lift_V
+        total_V, difference_V = front_lift_V + back_lift_V, front_lift_V - back_lift_V
+        # A new gust about each half second.
         if self.chance.random() < 0.002:
-            sizes = (self.gust_rad_s2, self.stir_rad_s2 or self.gust_rad_s2, self.gust_rad_s2)
+            sizes = (self.gust_rad_s2, self.pitch_gust_rad_s2 or self.gust_rad_s2, self.gust_rad_s2)
             self.gust = [size * (self.chance.random() - 0.5) for size in sizes]
-        elevation, pitch = self.angle[0], self.angle[1]
+        elevation, pitch, _ = self.angle
         needed_V = max(0.4, DEFAULT["hover_V"] + DEFAULT["hover_slope"] * elevation / RAD)
         pull = [
-            self.gain * DEFAULT["elevation_gain"] * (total_V - needed_V) - 0.3 * self.rate[0],
+            self.gain * DEFAULT["elevation_gain"] * (total_V - needed_V) - 0.3 * self.rate[ELEVATION],
             self.gain * DEFAULT["pitch_gain"] * (difference_V - DEFAULT["pitch_hold_ff"] * pitch / RAD)
-            - 0.8 * self.rate[1],
-            DEFAULT["travel_gain"] * pitch * total_V / DEFAULT["hover_V"] - 0.2 * self.rate[2],
+            - 0.8 * self.rate[PITCH],
+            DEFAULT["travel_gain"] * pitch * total_V / DEFAULT["hover_V"] - 0.2 * self.rate[TRAVEL],
         ]
         for axis in range(3):
             self.rate[axis] += 0.001 * (pull[axis] + self.gust[axis])
         brake = 0.001 * self.friction_rad_s2
-        self.rate[2] = max(0.0, self.rate[2] - brake) + min(0.0, self.rate[2] + brake)
+        travel_rate = self.rate[TRAVEL]
+        self.rate[TRAVEL] = max(0.0, travel_rate - brake) + min(0.0, travel_rate + brake)
         for axis in range(3):
             self.angle[axis] += 0.001 * self.rate[axis]
-        if self.angle[0] <= REST_DEG * RAD:
-            self.angle[0], self.rate[0] = REST_DEG * RAD, max(0.0, self.rate[0])
-            self.angle[1], self.rate[1] = 0.99 * self.angle[1], 0.0
-            self.rate[2] *= 0.9
+        if self.angle[ELEVATION] <= REST_DEG * RAD:
+            # On the table: no lower, level within a second, and travel brakes.
+            self.angle[ELEVATION], self.rate[ELEVATION] = REST_DEG * RAD, max(0.0, self.rate[ELEVATION])
+            self.angle[PITCH], self.rate[PITCH] = 0.99 * self.angle[PITCH], 0.0
+            self.rate[TRAVEL] *= 0.9
 
 
 class Notes:
@@ -113,13 +117,13 @@ class Board(Notes):
         self.core = flight.Harness(None, None, SUPPLY_DUTY, PAGE_BYTES)
         self.parser = FrameParser()
         self.sequence = self.request = self.now_ms = 0
-        self.late = False
-        self.frozen: dict[int, int] = {}
-        self.illegal = [0, 0, 0]
-        self.shift = [0, 0, 0]
+        self.is_late = False  # Whether ticks come late
+        self.frozen: dict[int, int] = {}  # Counts of the encoders that do not count any more, by axis
+        self.illegal = [0, 0, 0]  # Illegal transitions of the encoders
+        self.shift = [0, 0, 0]  # Counts by which each encoder reads too high
         self._crc = 0
         self.core.encoders([0, 0, 0], self.illegal)
-        self.core.tick(20)
+        self.core.tick(20)  # The board starts before the host speaks.
         self.send(d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=7))
         self.core.tick(5)
         # The welcome contains versions, which change with each release: of what is sent here, events count.
@@ -166,11 +170,11 @@ class Board(Notes):
         for _ in range(ticks):
             front, back, enabled = self.core.motors()
             self.arm.step(front * volts, back * volts)
-            shown = [
+            counts = [
                 self.frozen.get(axis, count) + self.shift[axis] for axis, count in enumerate(self._counts())
             ]
-            self.core.encoders(shown, self.illegal)
-            self.core.tick(1, self.late)
+            self.core.encoders(counts, self.illegal)
+            self.core.tick(1, self.is_late)
             self.now_ms += 1
             sent = self.core.sent()
             self._crc = zlib.crc32(struct.pack("<hhB", front, back, enabled) + sent, self._crc)
@@ -199,7 +203,9 @@ class Board(Notes):
 
     def _counts(self) -> list[int]:
         zero = (REST_DEG * RAD, 0.0, 0.0)
-        return [round((self.arm.angle[axis] - zero[axis]) / (360.0 * RAD) * COUNTS) for axis in range(3)]
+        return [
+            round((self.arm.angle[axis] - zero[axis]) / (360.0 * RAD) * COUNTS_PER_REV) for axis in range(3)
+        ]
 
     def _note(self, frame: Frame) -> None:
         if frame.id == d.MessageId.EVENT:

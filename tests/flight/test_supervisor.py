@@ -101,10 +101,10 @@ def refused_with(harness: Harness, fault: Fault) -> None:
 @pytest.mark.parametrize(
     "axis, angle_deg, rate_deg_s, wait_ticks, fault",
     [
-        (0, REST_DEG + 4, 1.0, 500, Fault.NOT_AT_REST),
-        (0, REST_DEG - 4, 1.0, 500, Fault.NOT_AT_REST),
+        (ELEVATION, REST_DEG + 4, 1.0, 500, Fault.NOT_AT_REST),
+        (ELEVATION, REST_DEG - 4, 1.0, 500, Fault.NOT_AT_REST),
         (PITCH, 12, 20.0, 400, Fault.PITCH_NOT_LEVEL),
-        (2, 20, 30.0, 0, Fault.MOVING),
+        (TRAVEL, 20, 30.0, 0, Fault.MOVING),
     ],
 )
 def test_arming_is_refused_away_from_rest_tilted_or_while_moving(
@@ -571,7 +571,7 @@ def test_excitation_adds_to_the_voltages_and_ends_by_itself(harness: Harness) ->
     for _ in range(10):
         harness.tick(300)
         harness.ping()
-    assert harness.motors[:2] == (525, 525)
+    assert harness.motors[:2] == (525, 525)  # counts: 3 V of 12 V, times 2100
     harness.ask(
         d.ExciteMessage(
             request=0,

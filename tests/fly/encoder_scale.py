@@ -211,20 +211,22 @@ def other_lines(flights: int) -> list[str]:
 def hidden_lines(plans: Sequence[str] = ("sine", "identify")) -> list[str]:
     """Warnings on flights of the nominal rig with right encoders, and an effect or a wrong supply."""
     rig, model = load_rig(NOMINAL), MultibodyModel()
-    hidden: list[tuple[str, Model, dict[str, float]]] = [
-        (kind.id, MultibodyModel((kind.make(kind.typical),)), {})
+    no_parameters: dict[str, float] = {}
+    # What the check does not know of: the model and the parameters of the flights, by name.
+    hidden: dict[str, tuple[Model, dict[str, float]]] = {
+        kind.id: (MultibodyModel((kind.make(kind.typical),)), no_parameters)
         for kind in catalogue().values()
         if kind.suits(model) and not kind.baseline and not kind.noise_inputs
-    ]
-    hidden += [(f"supply_V {volts:g}", model, {"supply_V": volts}) for volts in WRONG_SUPPLY_V]
+    }
+    hidden |= {f"supply_V {volts:g}": (model, {"supply_V": volts}) for volts in WRONG_SUPPLY_V}
     lines = []
     for plan in plans:
-        flights = [
-            (name, judge(*fly_one(with_it, rig, plan, SilOptions(seed=HIDDEN_SEED), parameters), rig, model))
-            for name, with_it, parameters in hidden
-        ]
-        warned = [name for name, flown in flights if flown.warned is not None]
-        accused = [name for name, flown in flights if flown.names_encoder]
+        flights: dict[str, Flown] = {}
+        for name, (flown_model, parameters) in hidden.items():
+            outcome, flight = fly_one(flown_model, rig, plan, SilOptions(seed=HIDDEN_SEED), parameters)
+            flights[name] = judge(outcome, flight, rig, model)
+        warned = [name for name, flown in flights.items() if flown.warned is not None]
+        accused = [name for name, flown in flights.items() if flown.names_encoder]
         lines.append(
             f"| {plan} | {len(flights)} | {len(accused)} {' '.join(accused)}| {len(warned) - len(accused)}: "
             f"{', '.join(name for name in warned if name not in accused)} |"

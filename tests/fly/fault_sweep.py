@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from heli_host.board.samples import Samples
-from heli_host.declaration import AXES, Fault, State
+from heli_host.declaration import AXES, Axis, Fault, State
 from heli_host.fly.connection import connect
 from heli_host.fly.plan import Plan, load_plan
 from heli_host.fly.runner import fly
@@ -34,7 +34,8 @@ _SETTLES_S: Final = 1.5
 _DOWN_MS: Final = 15_000
 _CLOSED: Final = (State.CLOSED_LOOP, State.HOLD, State.LANDING)
 _STOP_MARGIN_DEG: Final = 0.05
-_KINDS: Final = {"elevation": (0, 250), "pitch": (1, 250), "travel": (2, 510), "supply": (0, 60)}
+_COUNTS: Final = {"elevation": 250, "pitch": 250, "travel": 510, "supply": 60}
+"""Flights of each kind of fault."""
 _LATEST_S: Final = 40.0
 _HEALTHY: Final = 420
 _INERTIA_kg_m2: Final = 0.8195
@@ -144,7 +145,7 @@ class Seen:
 
 def swept(kind: str, count: int, seed: int = 29) -> Iterator[Case]:
     """Cases of a kind of fault: every rig and plan in turn, at moments by chance."""
-    chance = np.random.default_rng((seed, list(_KINDS).index(kind)))
+    chance = np.random.default_rng((seed, list(_COUNTS).index(kind)))
     pairs = itertools.cycle(itertools.product(RIGS, PLANS))
     for rig, plan in itertools.islice(pairs, count):
         yield Case(rig, plan, kind, round(float(chance.uniform(0.0, _LATEST_S)), 2))
@@ -174,14 +175,7 @@ def _address(case: Case, rig: Flown, path: Path, board: str, elf: str) -> str:
 
 def _flown(case: Case, rig: Flown, path: Path, board: str, elf: str) -> Seen:
     truth: list[list[float]] = []
-    telemetry: list[npt.NDArray[np.float64]] = []
-
-    def listen(samples: Samples) -> None:
-        columns = (samples.tick, samples.state, samples.fault, *(
-            getattr(samples, f"{axis}_setpoint_rad") for axis in AXES
-        ))  # fmt: skip
-        telemetry.append(np.column_stack(columns))
-
+    telemetry: list[Samples] = []
     with connect(_address(case, rig, path, board, elf)) as heli:
         world = world_of(heli)
         advance = world.advance
@@ -196,22 +190,25 @@ def _flown(case: Case, rig: Flown, path: Path, board: str, elf: str) -> Seen:
             text = (GAINS / f"{rig.gains}.toml").read_text(encoding="utf-8")
             heli.params.restore(tomllib.loads(text)["parameters"])
         heli.wait(_SETTLES_S)
-        heli.on_ticks(listen)
+        heli.on_ticks(telemetry.append)
         summary = fly(heli, PLANS[case.plan])
         stops = [world.rig[f"{name}_max"].value for name in AXES]
-    return _judged(case, summary.outcome, np.vstack(telemetry), np.array(truth), stops)
+    return _judged(case, summary.outcome, telemetry, np.array(truth), stops)
 
 
 def _judged(
     case: Case,
     outcome: str,
-    telemetry: npt.NDArray[np.float64],
+    telemetry: Sequence[Samples],
     truth: npt.NDArray[np.float64],
     stops_deg: Sequence[float],
 ) -> Seen:
-    """Compare telemetry (tick, state, fault, setpoints [rad]) with the truth (tick, angles [rad])."""
-    tick, state, fault = telemetry[:, :3].T
-    setpoints_rad = telemetry[:, 3:]
+    """Compare telemetry with the truth, of which each row is a tick and its angles [rad]."""
+
+    def reported(channel: str) -> npt.NDArray[np.float64]:
+        return np.concatenate([np.asarray(getattr(samples, channel), np.float64) for samples in telemetry])
+
+    tick, state, fault = reported("tick"), reported("state"), reported("fault")
     true_tick, true_rad = truth[:, 0], truth[:, 1:]
     closed = np.isin(state, _CLOSED)
     if not closed.any():
@@ -224,12 +221,13 @@ def _judged(
     if not case.kind or not during.any():
         return Seen(case, outcome, acted_s, away_deg=0.0, stop=False)
     true_deg = np.degrees(true_rad[during])
-    axis = max(0, _KINDS[case.kind][0])
-    setpoint_deg = np.degrees(np.interp(true_tick[during], tick, setpoints_rad[:, axis]))
+    # Without the supply, the arm sinks: elevation shows it.
+    axis = "elevation" if case.kind == "supply" else case.kind
+    setpoint_deg = np.degrees(np.interp(true_tick[during], tick, reported(f"{axis}_setpoint_rad")))
     touched = np.abs(true_deg) > np.array(stops_deg) - _STOP_MARGIN_DEG
     # The lower stop of elevation is the table, which does no harm.
-    touched[:, 0] = true_deg[:, 0] > stops_deg[0] - _STOP_MARGIN_DEG
-    away_deg = float(np.max(np.abs(true_deg[:, axis] - setpoint_deg)))
+    touched[:, Axis.ELEVATION] = true_deg[:, Axis.ELEVATION] > stops_deg[Axis.ELEVATION] - _STOP_MARGIN_DEG
+    away_deg = float(np.max(np.abs(true_deg[:, AXES.index(axis)] - setpoint_deg)))
     return Seen(case, outcome, acted_s=acted_s, away_deg=away_deg, stop=bool(touched.any()))
 
 
@@ -280,7 +278,7 @@ def main() -> None:
         return
     print(f"{HEAD}\n|---|---|---|---|---|---|---|")
     late: list[Seen] = []
-    for kind, (_, count) in _KINDS.items():
+    for kind, count in _COUNTS.items():
         seen = [flown(case) for case in swept(kind, round(given.share * count), given.seed)]
         print(row(kind, seen), flush=True)
         late += [

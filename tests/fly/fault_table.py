@@ -18,7 +18,7 @@ from unittest.mock import patch
 import numpy as np
 from due_emulator import read_image
 from heli_host.data.log.summary import FlightSummary
-from heli_host.declaration import Event, EventMessage, MessageId, PingMessage, State, Trigger
+from heli_host.declaration import Axis, Event, EventMessage, MessageId, PingMessage, State, Trigger
 from heli_host.fly.connection import connect
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
@@ -238,7 +238,6 @@ _HANGS_MS: Final = 300
 _STANDS_STILL_MS: Final = 50
 _FLOOD_MS: Final = 150
 _FLOOD_EDGES_PER_MS: Final = 500
-_TRAVEL: Final = 2
 _LINE_BYTES_PER_MS: Final = 25
 _BLOW_DEG_S: Final = 500.0
 _JUMP_DEG: Final = 10.0
@@ -250,12 +249,14 @@ _KILLED: Final = "as if the host were killed"
 def wrong_edges(struck: Struck, ms: int) -> None:
     """Let both lines of the elevation encoder change at once, ten times."""
     board = struck.world.board
+    if ms % 2 != 0 or ms >= 20:
+        return
     if isinstance(board, EmulatedDue):
-        if ms % 2 == 0 and ms < 20:
-            board.sim.due.glitch_encoder(0)
-    elif ms % 2 == 0 and ms < 20:
+        board.sim.due.glitch_encoder(Axis.ELEVATION)
+    else:
         assert isinstance(board.sim, _native.NativeBoard)
-        board.sim.encoder_illegal = [ms // 2 + 1, 0, 0]
+        changes_up_to_now = ms // 2 + 1
+        board.sim.encoder_illegal = [changes_up_to_now, 0, 0]
 
 
 def noise(struck: Struck, ms: int) -> None:
@@ -263,7 +264,7 @@ def noise(struck: Struck, ms: int) -> None:
     due = due_of(struck.world).sim.due
     if ms < _FLOOD_MS:
         for k in range(_FLOOD_EDGES_PER_MS):
-            due.schedule_step(_TRAVEL, (1, -1)[k % 2], due.now_us + 1.0 + 1e3 * k / _FLOOD_EDGES_PER_MS)
+            due.schedule_step(Axis.TRAVEL, (1, -1)[k % 2], due.now_us + 1.0 + 1e3 * k / _FLOOD_EDGES_PER_MS)
 
 
 def _jump(axis: int) -> Callable[[Struck, int], None]:

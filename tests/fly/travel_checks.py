@@ -6,7 +6,7 @@ Each rig hovers in simulation, with the check and without it (`travel_silence_s`
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import heli_host
 import numpy as np
@@ -20,11 +20,18 @@ _SETTLES_s, _HOVERS_s = 10.0, 110.0
 _ELEVATION_deg, _TRAVEL_deg = 4.4, -9.2
 
 
-def hovers(effect: str, seed: int, silence_s: float | None = None) -> tuple[float, float, int]:
-    """Hover, and return what travel did after it had settled."""
-    # `effect`: End of the address of the simulated board.
-    # `silence_s`: The parameter `travel_silence_s`; by default the board's own.
-    # Returns: Mean square and largest magnitude of the error of travel [deg2, deg], and number of checks.
+class Hover(NamedTuple):
+    """Error of travel of a hover that had settled, and the checks in it."""
+
+    mean_square_deg2: float
+    largest_deg: float
+    checks: int
+
+
+def hover(effect: str, seed: int, silence_s: float | None = None) -> Hover:
+    """Hover in simulation, with `effect` at the end of the address of the board and its parameter
+    `travel_silence_s`; None: the board's own.
+    """
     events: list[Any] = []
     with heli_host.connect(f"sil://?seed={seed}{effect}") as heli:
         if silence_s is not None:
@@ -38,7 +45,7 @@ def hovers(effect: str, seed: int, silence_s: float | None = None) -> tuple[floa
         error_deg = np.degrees(heli.samples(last_s=_HOVERS_s).travel_rad) - _TRAVEL_deg
     # Each check sends two events: its beginning and its answer.
     checks = sum(event.kind == "travel_probe" for event in events) // 2
-    return float(np.mean(error_deg**2)), float(np.abs(error_deg).max()), checks
+    return Hover(float(np.mean(error_deg**2)), float(np.abs(error_deg).max()), checks)
 
 
 def rows(seeds: Sequence[int]) -> list[str]:
@@ -47,12 +54,11 @@ def rows(seeds: Sequence[int]) -> list[str]:
     for name, effect in RIGS.items():
         cells = []
         for silence_s in (None, 0.0):
-            square_deg2, largest_deg, checks = zip(
-                *(hovers(effect, seed, silence_s) for seed in seeds), strict=True
-            )
-            cells.append(
-                f"{np.mean(checks):.1f} | {np.sqrt(np.mean(square_deg2)):.2f} | {max(largest_deg):.1f}"
-            )
+            hovers = [hover(effect, seed, silence_s) for seed in seeds]
+            checks = np.mean([each.checks for each in hovers])
+            rms_deg = np.sqrt(np.mean([each.mean_square_deg2 for each in hovers]))
+            largest_deg = max(each.largest_deg for each in hovers)
+            cells.append(f"{checks:.1f} | {rms_deg:.2f} | {largest_deg:.1f}")
         table.append(f"| {name} | {' | '.join(cells)} |")
     return table
 

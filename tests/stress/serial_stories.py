@@ -287,7 +287,9 @@ def _untrue(which: Story, lived: Lived, board: SerialBoard) -> str:
     truth, outcome = board.truth, lived.outcome
     kinds = set(lived.kinds)
     fault = board.heard.fault()
-    itself, surely = _landed_itself(truth), truth.longest_ticks > LAND_AFTER_TICKS + _UNSURE_TICKS
+    landed_itself = _landed_itself(truth)
+    must_have_landed = truth.longest_ticks > LAND_AFTER_TICKS + _UNSURE_TICKS
+    may_have_landed = truth.longest_ticks > LAND_AFTER_TICKS - _UNSURE_TICKS
     if fault:
         return "" if f"fault {fault.name.lower()}" in outcome else f"true is fault {fault.name.lower()}"
     if "fault " in outcome:
@@ -297,17 +299,16 @@ def _untrue(which: Story, lived: Lived, board: SerialBoard) -> str:
     if "restarted" in outcome:
         return "the board did not restart"
     if "stale_land" in outcome:
-        near = truth.longest_ticks > LAND_AFTER_TICKS - _UNSURE_TICKS
-        return "" if near else "setpoints came all the time"
+        return "" if may_have_landed else "setpoints came all the time"
     if outcome == "completed":
         if truth.closed_tick < 0 or truth.land_tick < 0:
             return "nothing was flown to its end"
-        return "the board landed by itself" if surely else ""
+        return "the board landed by itself" if must_have_landed else ""
     if "while landing: the board did not answer" in outcome:
         # Whether the board answered is not seen here; its answers may have been taken away.
         answers_lost = kinds & {TAKES_BYTES, CHANGES_SETTINGS}
         return "the board heard it" if truth.land_tick >= 0 and not answers_lost else ""
-    if truth.closed_tick >= 0 and itself and "link lost" not in outcome and "lost" not in outcome:
+    if truth.closed_tick >= 0 and landed_itself and "link lost" not in outcome and "lost" not in outcome:
         return "the board landed by itself"
     if "lost" in outcome and "setpoint" not in outcome:
         return "" if kinds & set(_BREAKS) else "nothing touched the port"

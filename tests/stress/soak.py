@@ -307,6 +307,7 @@ def keep_busy(result: Soak, address: Address, pid: int, minutes: float, say: Cal
     def sleep_now_and_then() -> None:
         chance = random.Random(f"{result.seed} sleepers")
         while not over.wait(chance.uniform(2.0, 10.0)):
+            # From 0.2 to 20 s; short ones are as frequent as long ones, by their logarithm.
             sleepers.sleep(0.2 * (20.0 / 0.2) ** chance.random())
             result.resumed += 1
 
@@ -326,16 +327,16 @@ def keep_busy(result: Soak, address: Address, pid: int, minutes: float, say: Cal
                 thread.join()
         result.lost_ticks = int(pilot.known["status"]["link"]["lost_ticks"])
         result.twin = bool(pilot.known["status"]["twin"])
-        of_sleepers = sleepers.measured()
+        ages_of_sleepers = sleepers.measured()
         sleepers.close()
-        for ages in (vars_of(pilot.ages), vars_of(watcher.ages), *clients.ages):
+        ages_of_awake = (vars_of(pilot.ages), vars_of(watcher.ages), *clients.ages)
+        for ages in (*ages_of_awake, *ages_of_sleepers):
             result.oldest_s = max(result.oldest_s, ages["oldest_s"])
+            result.statuses += int(ages["received"])
+        # Pages that sleep show bars because they sleep; those do not count.
+        for ages in ages_of_awake:
             result.bars += int(ages["bars"])
             result.bars_of_computer += int(ages["bars_of_computer"])
-            result.statuses += int(ages["received"])
-        for ages in of_sleepers:
-            result.oldest_s = max(result.oldest_s, ages["oldest_s"])
-            result.statuses += int(ages["received"])
     result.minutes = (time.monotonic() - begin_s) / 60.0
     result.late_s = lateness.worst_s
 
