@@ -9,7 +9,7 @@ import math
 import re
 import struct
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -156,37 +156,49 @@ def check(declaration: Table) -> None:
     check_channels(declaration)
     check_axes(declaration)
     check_laws(declaration)
-    params = declaration["param"]
-    names = [p["name"] for p in params]
     if set(declaration["setpoint_margin"]) != set(SETPOINT_MARGINS):
         raise DeclarationError(f"setpoint_margin: needs {', '.join(SETPOINT_MARGINS)}, and nothing else")
-    if len(params) > MAX_PARAMS:
-        raise DeclarationError(f"{len(params)} parameters; one stored set holds {MAX_PARAMS}")
-    for p in params:
-        if not p["min"] <= p["default"] <= p["max"]:
-            raise DeclarationError(f"{p['name']}: default outside its range")
-        if p["when"] not in ("idle", "always"):
-            raise DeclarationError(f"{p['name']}: when must be idle or always")
-    ids: dict[int, str] = {}
-    for p in params:
-        earlier = ids.setdefault(param_id(p), p["name"])
-        if earlier != p["name"]:
-            raise DeclarationError(
-                f"{p['name']} and {earlier} have the same number in flash; rename the new one"
-            )
+    check_params(declaration["param"])
+    names = [param["name"] for param in declaration["param"]]
     for fault in declaration["fault"]:
         if "parameter" in fault and fault["parameter"] not in names:
             raise DeclarationError(f"fault {fault['name']} names an unknown parameter")
-    by_name = {m["name"]: m for m in declaration["message"]}
-    for m in declaration["message"]:
-        if m["kind"] == "command" and by_name.get(m["reply"], {}).get("kind") != "reply":
-            raise DeclarationError(f"command {m['name']} names no reply")
-        floats = [number for number, field in enumerate(m["fields"]) if field["type"] == "f32"]
-        if m["kind"] in ("command", "stream") and floats and floats[-1] - floats[0] >= len(floats):
-            raise DeclarationError(f"{m['name']}: its fields of type f32 must follow each other")
-        for f in m["fields"]:
-            if f["type"] not in STRUCT_CODE:
-                raise DeclarationError(f"{m['name']}.{f['name']}: no type {f['type']}; {choice(STRUCT_CODE)}")
+    check_messages(declaration["message"])
+
+
+def check_params(params: Sequence[Table]) -> None:
+    """Raise DeclarationError if the parameters are too many, or one is invalid or has the number of another."""
+    if len(params) > MAX_PARAMS:
+        raise DeclarationError(f"{len(params)} parameters; one stored set holds {MAX_PARAMS}")
+    for param in params:
+        if not param["min"] <= param["default"] <= param["max"]:
+            raise DeclarationError(f"{param['name']}: default outside its range")
+        if param["when"] not in ("idle", "always"):
+            raise DeclarationError(f"{param['name']}: when must be idle or always")
+    names_by_id: dict[int, str] = {}
+    for param in params:
+        earlier = names_by_id.setdefault(param_id(param), param["name"])
+        if earlier != param["name"]:
+            raise DeclarationError(
+                f"{param['name']} and {earlier} have the same number in flash; rename the new one"
+            )
+
+
+def check_messages(messages: Sequence[Table]) -> None:
+    """Raise DeclarationError if a command has no reply, or the fields of a message are invalid."""
+    by_name = {message["name"]: message for message in messages}
+    for message in messages:
+        name, kind, fields = message["name"], message["kind"], message["fields"]
+        if kind == "command" and by_name.get(message["reply"], {}).get("kind") != "reply":
+            raise DeclarationError(f"command {name} names no reply")
+        floats = [number for number, field in enumerate(fields) if field["type"] == "f32"]
+        if kind in ("command", "stream") and floats and floats[-1] - floats[0] >= len(floats):
+            raise DeclarationError(f"{name}: its fields of type f32 must follow each other")
+        for field in fields:
+            if field["type"] not in STRUCT_CODE:
+                raise DeclarationError(
+                    f"{name}.{field['name']}: no type {field['type']}; {choice(STRUCT_CODE)}"
+                )
 
 
 def choice(words: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -481,15 +481,19 @@ def _read_period(table: PlanTable, prefix: str) -> float | None:
     return 1.0 / frequency_Hz if frequency_Hz is not None else period_s
 
 
-def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
-    """Read a segment through points in time. Each axis has its own points; an axis without any keeps its
-    setpoint.
-    """
-    smooth = table.choice("path", _SHAPES_OF_PATH, "smooth") == "smooth"
+class _AxisPoint(NamedTuple):
+    """A point of the path of one axis."""
+
+    at_s: float
+    angle_deg: float
+
+
+def _read_points(table: PlanTable, commanded: tuple[str, ...]) -> tuple[float, list[list[_AxisPoint]]]:
+    """Return the time of the last point, and the points of each axis."""
     rows = table.values.get("points")
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         table.fail("points is not a list of points", "write points = [{at_s = 5, travel_deg = 10}, ...]")
-    columns: list[list[tuple[float, float]]] = [[] for _ in AXES]
+    points_of_axes: list[list[_AxisPoint]] = [[] for _ in AXES]
     usable_keys = ("at_s", *(key for key in TARGETS if _axis_of(key) in commanded))
     last_s = -1.0
     for number, row in enumerate(rows, start=1):
@@ -500,12 +504,21 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         last_s = at_s
         if len(row) < 2:
             point.fail("it moves no axis", f"add {usable_keys[-1]}")
-        for index, axis in enumerate(AXES):
-            value = point.optional(f"{axis}_deg", ANGLE)
-            if value is not None:
-                columns[index].append((at_s, value))
+        for axis, points in zip(AXES, points_of_axes, strict=True):
+            angle_deg = point.optional(f"{axis}_deg", ANGLE)
+            if angle_deg is not None:
+                points.append(_AxisPoint(at_s, angle_deg))
     if last_s <= 0.0:
         table.fail("all points are at 0 s", "give the last point an at_s above 0")
+    return last_s, points_of_axes
+
+
+def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
+    """Read a segment through points in time. Each axis has its own points; an axis without any keeps its
+    setpoint.
+    """
+    smooth = table.choice("path", _SHAPES_OF_PATH, "smooth") == "smooth"
+    last_s, points_of_axes = _read_points(table, commanded)
     duration_s = table.number("duration_s", DURATION, last_s)
     if duration_s < last_s:
         table.fail(
@@ -515,11 +528,11 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     def motion(at: Floats) -> Motion:
         """Return the motion from the setpoints `at`, degrees (axes,), through the points."""
         times, values = [], []
-        for index, column in enumerate(columns):
-            has_start = bool(column) and column[0][0] == 0.0
-            points = column if has_start else [(0.0, float(at[index])), *column]
-            times.append(np.array([at_s for at_s, _ in points]))
-            values.append(np.array([value for _, value in points]))
+        for given_points, start_deg in zip(points_of_axes, at, strict=True):
+            has_start = bool(given_points) and given_points[0].at_s == 0.0
+            points = given_points if has_start else [_AxisPoint(0.0, float(start_deg)), *given_points]
+            times.append(np.array([point.at_s for point in points]))
+            values.append(np.array([point.angle_deg for point in points]))
         low = np.array([min(value.min(), start) for value, start in zip(values, at, strict=True)])
         high = np.array([max(value.max(), start) for value, start in zip(values, at, strict=True)])
         factor = _SMOOTH_PEAK if smooth else 1.0

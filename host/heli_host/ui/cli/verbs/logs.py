@@ -65,8 +65,12 @@ def info(
 
         flight = read_flight(flight_file, allow_gaps=True)
         _print_table(flight, flight_file)
-    if flight is None:
-        return
+    if flight is not None:
+        _print_details(flight, events=events, parameters=parameters, plan=plan)
+
+
+def _print_details(flight: Flight, *, events: bool, parameters: bool, plan: bool) -> None:
+    """Print what the options ask for beyond the summary."""
     if events:
         say("events:")
         for event in flight.events:
