@@ -14,7 +14,7 @@ import re
 import struct
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,8 +109,9 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
                 body = _encode_string(name)
                 data = _CDR + body + bytes(-len(body) % 8) + struct.pack("<d", value)
                 writer.add_message(parameter, first_ns, data, first_ns)
-            for time_ns, is_event, data in _messages_in_order(flight, columns):
-                writer.add_message(event if is_event else tick, time_ns, data, time_ns)
+            for message in _messages_in_order(flight, columns):
+                topic = event if message.is_event else tick
+                writer.add_message(topic, message.time_ns, message.data, message.time_ns)
             notes = {name: str(value) for name, value in flight.meta.items()}
             writer.add_metadata("notes", notes)
             writer.add_metadata("names", {field: name for name, field in fields.items()})
@@ -157,7 +158,15 @@ def _tick_schema(flight: Flight, columns: dict[str, NDArray[Any]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _messages_in_order(flight: Flight, columns: dict[str, NDArray[Any]]) -> Iterator[tuple[int, bool, bytes]]:
+class _Message(NamedTuple):
+    """A row or an event, as it stands in the file."""
+
+    time_ns: int
+    data: bytes
+    is_event: bool
+
+
+def _messages_in_order(flight: Flight, columns: dict[str, NDArray[Any]]) -> Iterator[_Message]:
     """Yield rows and events in the order of time; an event comes before a row of the same time."""
     dtype = np.dtype([(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
     records = np.zeros(len(flight), dtype)
@@ -168,11 +177,15 @@ def _messages_in_order(flight: Flight, columns: dict[str, NDArray[Any]]) -> Iter
     events_written = 0
     for row, time_s in enumerate(flight.t_s.tolist()):
         while events_written < len(events) and events[events_written].t_s <= time_s:
-            yield _to_ns(events[events_written].t_s), True, _encode_event(events[events_written])
+            yield _message_of_event(events[events_written])
             events_written += 1
-        yield _to_ns(time_s), False, _CDR + data[row * size : (row + 1) * size]
+        yield _Message(_to_ns(time_s), _CDR + data[row * size : (row + 1) * size], is_event=False)
     for event in events[events_written:]:
-        yield _to_ns(event.t_s), True, _encode_event(event)
+        yield _message_of_event(event)
+
+
+def _message_of_event(event: FlightEvent) -> _Message:
+    return _Message(_to_ns(event.t_s), _encode_event(event), is_event=True)
 
 
 def _encode_event(event: FlightEvent) -> bytes:
