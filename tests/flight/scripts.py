@@ -45,7 +45,7 @@ class Arm:
     chance: random.Random  # Decides on the gusts
     friction_rad_s2: float = 0.0  # Acceleration of travel that dry friction takes up [rad/s2]
     gust_rad_s2: float = 0.0  # Range of the disturbing acceleration of all axes [rad/s2]
-    pitch_gust_rad_s2: float = 0.0  # Of pitch, if not as of the other axes [rad/s2]
+    pitch_gust_rad_s2: float = 0.0  # The same for pitch; 0: as of the other axes [rad/s2]
     gain: float = 1.0  # Acceleration of elevation and pitch, as a multiple of what the parameters say
     angle: list[float] = field(init=False, default_factory=lambda: [REST_DEG * RAD, 0.0, 0.0])
     rate: list[float] = field(init=False, default_factory=lambda: [0.0, 0.0, 0.0])

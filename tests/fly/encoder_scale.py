@@ -212,7 +212,7 @@ def hidden_lines(plans: Sequence[str] = ("sine", "identify")) -> list[str]:
     """Warnings on flights of the nominal rig with right encoders, and an effect or a wrong supply."""
     rig, model = load_rig(NOMINAL), MultibodyModel()
     no_parameters: dict[str, float] = {}
-    # What the check does not know of: the model and the parameters of the flights, by name.
+    # Models and parameters of the flights, by name; the check does not know them.
     hidden: dict[str, tuple[Model, dict[str, float]]] = {
         kind.id: (MultibodyModel((kind.make(kind.typical),)), no_parameters)
         for kind in catalogue().values()

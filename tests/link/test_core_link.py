@@ -150,7 +150,9 @@ def test_a_delta_gets_the_narrowest_width_that_holds_it(code: int, deltas: tuple
         raw[1, Channel.ELEVATION_COUNT] = delta
         (payload,) = core_link.pack_telemetry(0, raw)
         widths = payload[TelemetryMessage.STRUCT.size :]
-        assert widths[Channel.ELEVATION_COUNT // 2] >> (4 * (Channel.ELEVATION_COUNT % 2)) & 15 == code, delta
+        # A byte has the codes of two channels, the first in its lower half.
+        byte, is_upper_half = divmod(Channel.ELEVATION_COUNT, 2)
+        assert widths[byte] >> (4 * is_upper_half) & 15 == code, delta
 
 
 def test_a_batch_too_large_for_a_frame_is_halved_until_it_fits() -> None:

@@ -81,12 +81,14 @@ class Index:
         """Names of the pages that a query finds, the best first."""
         scores: dict[int, float] = {}
         words = self._words(query)
-        by_word = [self._by_page(word) for word in words]
-        known = [pages for pages in by_word if pages]
-        for page in set[int]().union(*known) if known else ():
-            holds = [pages[page] for pages in by_word if page in pages]
-            if len(holds) in (len(words), sum(len(word) > 2 for word in words)):
-                scores[page] = max(holds)
+        scores_of_words = [self._by_page(word) for word in words]
+        for page in set[int]().union(*scores_of_words):
+            scores_of_page = [
+                scores_of_word[page] for scores_of_word in scores_of_words if page in scores_of_word
+            ]
+            # As Sphinx does: a page has all words, or all that are longer than two letters.
+            if len(scores_of_page) in (len(words), sum(len(word) > 2 for word in words)):
+                scores[page] = max(scores_of_page)
         lower = query.lower().strip()
         for title, places in self._index["alltitles"].items():
             if lower in title.lower() and len(lower) >= len(title) / 2:
