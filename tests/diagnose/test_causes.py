@@ -382,9 +382,7 @@ ROUNDING = 4e-16
 """Twice the rounding error of a double."""
 
 
-def test_verdict_and_likelihoods_do_not_depend_on_rounding(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_verdict_and_likelihoods_do_not_depend_on_rounding(monkeypatch: pytest.MonkeyPatch) -> None:
     plain = briefly_diagnosed("rotor_lag=0.06")
     rng, along, filtered = np.random.default_rng(5), AlongTrajectory.__call__, _kalman.filter
     rounded = 0

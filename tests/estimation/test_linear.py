@@ -8,12 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.fit.flight_model import (
-    DISTURBANCE_START,
-    RigParameters,
-    filter_record,
-    model_functions,
-)
+from heli_lab.fit.flight_model import DISTURBANCE_START, RigParameters, filter_record, model_functions
 from heli_lab.fit.innovations import InnovationsModel
 from heli_lab.fit.linearised_flight import BLOCK_s, Derivatives, LinearisedFlight
 from heli_lab.fit.model_functions import ModelFunctions

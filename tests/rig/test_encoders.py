@@ -56,14 +56,8 @@ def entry(name: str, value: float, unit: str = "count", tolerance: float = 0.0) 
     ("entries", "counts"),
     [
         (entry("encoder_counts", 2000.0), (2000.0, 2000.0, 2000.0)),
-        (
-            entry("encoder_counts", 4096.0) + entry("encoder_travel_ratio", 2.0, "1"),
-            (4096.0, 4096.0, 8192.0),
-        ),
-        (
-            entry("encoder_counts", 4096.0) + entry("encoder_counts_pitch", 1000.0),
-            (4096.0, 1000.0, 4096.0),
-        ),
+        (entry("encoder_counts", 4096.0) + entry("encoder_travel_ratio", 2.0, "1"), (4096.0, 4096.0, 8192.0)),
+        (entry("encoder_counts", 4096.0) + entry("encoder_counts_pitch", 1000.0), (4096.0, 1000.0, 4096.0)),
     ],
     ids=["one number", "one number and a ratio", "one number and an exception"],
 )

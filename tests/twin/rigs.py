@@ -108,12 +108,7 @@ def rig_with_twin(seed: int, drawn_minutes: int) -> RigWithTwin:
         [effect.name for effect in drawn.model.effects], nominal, records
     )
     calibration = learn(
-        identified_model,
-        identified_rig,
-        training_flights,
-        labels,
-        drawn_s=60.0 * drawn_minutes,
-        seed=seed,
+        identified_model, identified_rig, training_flights, labels, drawn_s=60.0 * drawn_minutes, seed=seed
     )
     twin = TwinRig(identified_rig, identified_model, calibration, f"rig {seed}")
     return RigWithTwin(seed, drawn.rig, drawn.disturbed_model, twin)

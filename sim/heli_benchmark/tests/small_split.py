@@ -15,10 +15,7 @@ from heli_benchmark.task import NOTHING, UNLISTED, Answer, Estimate, Split, read
 
 LAG = {"rotor_lag": {"visibility_std": 80.0, "parameters": {"rotor_lag_s": 0.1}}}
 FRICTION = {
-    "coulomb_friction.travel": {
-        "visibility_std": 30.0,
-        "parameters": {"coulomb_friction_travel_Nm": 0.02},
-    }
+    "coulomb_friction.travel": {"visibility_std": 30.0, "parameters": {"coulomb_friction_travel_Nm": 0.02}}
 }
 FAINT = {"axis_tilt": {"visibility_std": 9.0, "parameters": {"axis_tilt_x_rad": 0.01}}}
 TRUTHS: tuple[tuple[dict[str, Any], dict[str, float]], ...] = (

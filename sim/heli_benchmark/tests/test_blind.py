@@ -93,10 +93,7 @@ def test_a_rig_with_other_numbers_and_nothing_hidden_raises_no_alarm(name: str) 
 def test_a_flight_whose_arm_never_reaches_the_table_is_complete() -> None:
     case = CASES["cable_spring.travel-large"]
     flight = flown(
-        case.rig(),
-        case.hidden(),
-        plan(str(case.seed), 32.0, Stream.FLOWN_PLAN.rng(case.seed, 0)),
-        case.seed,
+        case.rig(), case.hidden(), plan(str(case.seed), 32.0, Stream.FLOWN_PLAN.rng(case.seed, 0)), case.seed
     )
     assert any("landing" in event.text and event.name == "state" for event in flight.events)
     assert np.degrees(flight.elevation_rad[-1]) > -25.0

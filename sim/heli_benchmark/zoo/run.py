@@ -20,16 +20,7 @@ from heli_host.data.flight import Flight
 
 from heli_benchmark.zoo.draw import draw_case
 from heli_benchmark.zoo.flights import RECIPES, kept_flight
-from heli_benchmark.zoo.judge import (
-    CONFIRMED,
-    DOUBTED,
-    REFUSED,
-    RIGHT,
-    SCORES,
-    SILENT,
-    Score,
-    judge_import,
-)
+from heli_benchmark.zoo.judge import CONFIRMED, DOUBTED, REFUSED, RIGHT, SCORES, SILENT, Score, judge_import
 
 _FOLDER: Final = Path("build") / "zoo"
 _FINE: Final = (RIGHT, CONFIRMED, DOUBTED, REFUSED)

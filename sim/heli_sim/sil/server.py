@@ -144,11 +144,7 @@ class SilServer:
     """Moves bytes between a port and a simulated world, and advances the world by its clock."""
 
     def __init__(
-        self,
-        endpoint: Endpoint,
-        world: SilWorld,
-        clock: Clock,
-        now_s: Callable[[], float] = time.monotonic,
+        self, endpoint: Endpoint, world: SilWorld, clock: Clock, now_s: Callable[[], float] = time.monotonic
     ) -> None:
         self._endpoint = endpoint
         self._world = world

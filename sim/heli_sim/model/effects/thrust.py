@@ -115,8 +115,7 @@ _BEND: Final = Parameter(
 )
 
 FADES: Final = EffectFamily(
-    name="fading thrust",
-    unclear="these flights do not show whether the supply fades or the thrust",
+    name="fading thrust", unclear="these flights do not show whether the supply fades or the thrust"
 )
 """About a hover, both take a share of the thrust; only the dead zone and the thrust curve differ."""
 
