@@ -321,11 +321,12 @@ def test_voltages_act_late_by_a_part_of_a_millisecond_too() -> None:
 @pytest.mark.medium
 def test_time_begins_when_the_motors_first_turn() -> None:
     plant = Plant(MultibodyModel(parse_effects(["thrust_step.front=1@0.05"])), load_rig("makki2024"))
-    state, place = plant.rest_state(), 6
-    for volts_V, ticks, time_s in (((0.0, 0.0), 100, 0.0), ((2.0, 2.0), 40, 0.04), ((0.0, 0.0), 60, 0.1)):
+    state, off_V, on_V = plant.rest_state(), (0.0, 0.0), (2.0, 2.0)
+    time_state = len(plant.model.states)  # the first state after those of the model
+    for volts_V, ticks, time_s in ((off_V, 100, 0.0), (on_V, 40, 0.04), (off_V, 60, 0.1)):
         for _ in range(ticks):
             state, _ = plant.step(state, volts_V)
-        assert state[place] == pytest.approx(time_s)
+        assert state[time_state] == pytest.approx(time_s)
 
 
 def gusts(seed: int, seconds: int = 60) -> npt.NDArray[np.float64]:

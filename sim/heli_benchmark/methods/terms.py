@@ -278,9 +278,6 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
         return np.asarray((scaled[1:] - correlation * scaled[:-1]).reshape(-1, *values.shape[2:]))
 
     terms = [replace(term, columns=white(term.columns)) for term in drafts]
-    useful = [term for term in terms if np.isfinite(term.columns).all() and term.columns.std() > 1e-9]
-    listed = [term for term in useful if term.parameters]
-    useful = listed + [term for term in useful if not term.parameters and not _is_listed(term, listed)]
     features = np.concatenate([motion.features for motion in smooth])
     scales = Standardisation(fitted.std(axis=0), features.mean(axis=0), features.std(axis=0))
     features = (features - scales.feature_mean) / scales.feature_std
@@ -289,12 +286,19 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     return ResidualRegression(
         white(target),
         white(nuisance),
-        terms=useful,
+        terms=_useful_terms(terms),
         residuals=residuals,
         features=features,
         rig_priors=priors,
         standardisation=scales,
     )
+
+
+def _useful_terms(terms: Sequence[Term]) -> list[Term]:
+    """Return the terms that are not constant: first the listed ones, then those that no listed one equals."""
+    varying = [term for term in terms if np.isfinite(term.columns).all() and term.columns.std() > 1e-9]
+    listed = [term for term in varying if term.parameters]
+    return listed + [term for term in varying if not term.parameters and not _is_listed(term, listed)]
 
 
 def _listed_terms(case: BenchmarkCase, smooth: Sequence[SmoothedFlight]) -> list[Term]:

@@ -135,7 +135,7 @@ def test_25_equations_and_more_come_in_two_sizes_with_unique_seeds() -> None:
 def test_mujoco_flies_the_equation_that_the_reference_fit_uses(name: str) -> None:
     hidden = MakeUnlisted(name)(0.1, np.random.default_rng(1))
     effect = true_equation_effect(hidden)
-    model, plain = MultibodyModel((effect,)), MultibodyModel()
+    model_with_effect, plain_model = MultibodyModel((effect,)), MultibodyModel()
     rig = load_rig("makki2024")
     rng = np.random.default_rng(2)
     x, late = rng.uniform(-0.8, 0.8, 6), 0.3 if effect.states else 0.0
@@ -145,15 +145,17 @@ def test_mujoco_flies_the_equation_that_the_reference_fit_uses(name: str) -> Non
     at = Moment(0.0, 0.0, volts, thrust_N.copy(), x[:3], x[3:])
     hidden.thrust(at)
     hidden.torque(at)
-    more = [late] if effect.states else []
+    states = [*x, late] if effect.states else x
     u, t = ca.SX(volts), ca.SX(0.0)
-    fitted = ca.evalf(model.dynamics(ca.SX([*x, *more]), u, ca.SX(model.parameter_values(rig)), t))[3:6]
+    parameters = ca.SX(model_with_effect.parameter_values(rig))
+    # Accelerations: the rates of the second three states.
+    fitted = ca.evalf(model_with_effect.dynamics(ca.SX(states), u, parameters, t))[3:6]
     # The same forces, handed to the plain model as such.
-    operands = plain.driven(ca.SX(x), u, ca.SX(plain.parameter_values(rig)), t)
+    operands = plain_model.driven(ca.SX(x), u, ca.SX(plain_model.parameter_values(rig)), t)
     friction = [-rig[f"friction_{axis}"].value * w for axis, w in zip(_AXES, x[3:], strict=True)]
     steady = [rig[f"torque_{axis}"].value for axis in _AXES]
     torque = ca.SX(at.torque_Nm + np.array(friction) + np.array(steady))
-    flown = ca.evalf(plain.acceleration(operands, ca.SX(at.thrust_N), torque))
+    flown = ca.evalf(plain_model.acceleration(operands, ca.SX(at.thrust_N), torque))
     # What is remembered moves on by half a millisecond.
     np.testing.assert_allclose(np.asarray(fitted), np.asarray(flown), rtol=5e-3 if late else 1e-9, atol=1e-9)
 

@@ -429,20 +429,21 @@ def figure_of_prediction(
     from matplotlib.figure import Figure
 
     baseline, extended = trace(before), trace(after)
-    axes = sorted(range(3), key=lambda axis: AXES[axis] != first)
-    excerpt = _rows_with_largest_error(baseline, axes[0])
+    first_axis = AXES.index(first)
+    axes = [first_axis, *(axis for axis in range(3) if axis != first_axis)]
+    excerpt = _rows_with_largest_error(baseline, first_axis)
     t_s = baseline.t_s[excerpt]
     figure = Figure(figsize=(11, 7.2))
     panels = figure.subplots(4, 1, sharex=True, height_ratios=[2.4, 1.3, 1.0, 1.0])
     figure.subplots_adjust(left=0.085, bottom=0.075, right=0.985, top=0.955, hspace=0.13)
     angle_panel = panels[0]
-    measured_deg = np.rad2deg(baseline.measured_rad[excerpt, axes[0]])
+    measured_deg = np.rad2deg(baseline.measured_rad[excerpt, first_axis])
     angle_panel.plot(t_s, measured_deg, ".", ms=2.2, color=MEASURED, label="measured")
     _draw_runs(panels, baseline, excerpt, axes, BEFORE, "baseline")
     if before is not after:
         _draw_runs(panels, extended, excerpt, axes, AFTER, "extended")
     _shade_extrapolations(panels, t_s, outside_s)
-    angle_panel.set_ylabel(f"{AXES[axes[0]]} [deg]", fontsize=10)
+    angle_panel.set_ylabel(f"{first} [deg]", fontsize=10)
     # The largest rounding error is half a count.
     half_counts_deg = np.rad2deg(np.sqrt(3.0) * baseline.sigma_rad)
     for panel, axis in zip(panels[1:], axes, strict=True):
