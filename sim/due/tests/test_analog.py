@@ -188,13 +188,15 @@ def test_what_is_not_modelled_or_wrong_is_refused(register: str, value: int, mes
 def test_an_output_lies_between_one_and_five_sixths_of_3V3(code: int, volts: float) -> None:
     chip = Chip("DACC")
     assert chip.due.analog_out(1) == 0.0
-    chip["DACC.MR"] = 1 << 16
-    chip["DACC.CHER"] = 2
+    chip["DACC.MR"] = 1 << 16  # USER_SEL: channel 1
+    chip["DACC.CHER"] = 1 << 1
     chip["DACC.CDR"] = code
     chip.run_cycles(60)
     assert chip.due.analog_out(1) == pytest.approx(volts)
-    assert chip["DACC.ISR"] & 2
-    assert chip["DACC.ISR"] & 2 == 0
+    end_of_conversion = 1 << 1
+    assert chip["DACC.ISR"] & end_of_conversion
+    # Reading has cleared it.
+    assert chip["DACC.ISR"] & end_of_conversion == 0
 
 
 def test_the_queue_of_the_outputs_takes_four_values_and_says_so() -> None:
