@@ -47,6 +47,8 @@ SUPERVISOR_CALL = b"\x00\xdf"
 PUSH_FOR_EVER = b"\xff\xb5\xfd\xe7"
 NVIC_ISER, NVIC_ISPR, SCB_ICSR = 0xE000E100, 0xE000E200, 0xE000ED04
 NMI_PENDING, PENDSV_PENDING, SYSTICK_PENDING = 1 << 31, 1 << 28, 1 << 26
+UART_INTERRUPT = 8
+"""The firmware uses the UART without interrupts."""
 UNEXPECTED_INTERRUPTS = tuple(number for number in range(45) if number not in (14, 30))
 AT_ONCE_MS = 0.02
 A_TICK_MS = 1.1
@@ -135,7 +137,7 @@ def test_a_fault_switches_off_at_once_and_the_host_is_informed(
 
 def test_an_unexpected_interrupt_switches_off_and_informs_the_host(elf: Path, image: Image) -> None:
     board, heli = flying_board_and_host(elf, image)
-    pend(board, 8)
+    pend(board, UART_INTERRUPT)
     assert board.milliseconds_until_off(step_us=1.0) <= AT_ONCE_MS
     assert_fault_reported(heli, Reset.SOFTWARE, Fault.UNEXPECTED_INTERRUPT)
 
@@ -163,7 +165,7 @@ def test_pwm_pins_go_low_with_the_enables(elf: Path, image: Image) -> None:
     assert not board.pwm_low()
     # The reset that follows leaves the pins to their pull-ups: look before it comes.
     board.due.add_breakpoint(image.symbols["fault_handler"] & ~1)
-    pend(board, 8)
+    pend(board, UART_INTERRUPT)
     board.due.run_us(50.0)
     assert board.due.halt == "breakpoint"
     assert board.on()
@@ -463,16 +465,16 @@ def test_a_fault_is_recorded_with_its_place_its_caller_and_its_cause(
 def test_an_unexpected_interrupt_is_recorded_with_its_number(board: Board) -> None:
     board.connect().arm()
     resets = board.due.resets
-    pend(board, 8)
+    pend(board, UART_INTERRUPT)
     while board.due.resets == resets:
         record = recorded(board).record
         board.due.step()
-    assert record == MAGIC | (16 + 8) << 8 | Fault.UNEXPECTED_INTERRUPT
+    assert record == MAGIC | (16 + UART_INTERRUPT) << 8 | Fault.UNEXPECTED_INTERRUPT
 
 
 def test_the_bridges_go_off_before_a_fault_is_recorded(board: Board) -> None:
     board.connect().arm()
-    pend(board, 8)
+    pend(board, UART_INTERRUPT)
     assert_off_before(board, "fault_handler")
 
 

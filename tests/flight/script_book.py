@@ -204,6 +204,7 @@ def parameters_in_flash(notes: Notes, _laws: Any) -> None:
 
 def _changed_tapes(words: Sequence[int]) -> Iterator[list[int]]:
     """A law with each bit changed, with each field at its ends, and with each length."""
+    # A word: the operation in 5 bits from 27, then fields of 9 bits from 18, 9 and 0, which mostly are cells.
     for place, word in enumerate(words):
         others = [word ^ 1 << bit for bit in range(32)]
         for shift in (0, 9, 18):
@@ -211,6 +212,7 @@ def _changed_tapes(words: Sequence[int]) -> Iterator[list[int]]:
             ends = (0, 1, 16, 17, 18, len(words) - place - 1, len(words) - place, len(words) - place + 1, 511)
             others += [rest | (end & 0x1FF) << shift for end in ends]
         others += [word & 0x07FFFFFF | code << 27 for code in range(32)]
+        # Sums of products whose terms end before, at and behind the end of the law.
         others += [
             _SUM << 27 | word & 0x07FC0000 | min(len(words) - place + more, 511) % 512
             for more in (-2, -1, 0, 1)

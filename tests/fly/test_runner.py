@@ -338,12 +338,15 @@ def test_a_host_suspended_between_arming_and_control_reports_the_boards_reason(t
 def test_a_landing_whose_event_is_lost_is_not_said_to_come_from_its_touchdown(
     heli: Heli, tmp_path: Path
 ) -> None:
-    def suspended(progress: Progress) -> None:
-        if progress.t_s > 5.0 and lost:
-            lost.pop().advance(7000)
+    was_suspended = False
 
-    lost = [world_of(heli)]
-    heli.session.permit_streams(lambda: bool(lost))
+    def suspended(progress: Progress) -> None:
+        nonlocal was_suspended
+        if progress.t_s > 5.0 and not was_suspended:
+            was_suspended = True
+            world_of(heli).advance(7000)
+
+    heli.session.permit_streams(lambda: not was_suspended)
     summary = fly(heli, short(), log_path=tmp_path / "a.mcap", on_progress=suspended)
     assert "because of stale_land" in summary.outcome and "touchdown" not in summary.outcome
 

@@ -24,6 +24,8 @@ from tests.channels.groups import COUNTS, SETPOINTS, VOLTAGES, row_of
 from tests.link import host_reference as reference
 
 BATCH_TICKS = 20
+ILLEGAL_TRAVEL = 11
+"""Illegal transitions of the travel encoder in each status."""
 Damage = Callable[[bytes], bytes]
 
 _NEXT_STATE = {
@@ -128,8 +130,23 @@ class FakeBoard:
         return out
 
     def _status(self, request: int) -> link.StatusMessage:
-        # Counters of a board, each another number, so that a host that mixes two of them shows it.
-        return link.StatusMessage(request, self.tick, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12)
+        # Each counter is another number, so that a host that mixes two of them shows it.
+        return link.StatusMessage(
+            request=request,
+            tick=self.tick,
+            frames_ok=1,
+            frames_bad=2,
+            frames_lost=3,
+            duplicates=4,
+            stale_streams=5,
+            ticks_dropped=6,
+            overruns=7,
+            tick_max_us=8,
+            illegal_elevation=9,
+            illegal_pitch=10,
+            illegal_travel=ILLEGAL_TRAVEL,
+            setpoint_rate_Hz=12,
+        )
 
     def _take(self, frame: Frame) -> None:
         if frame.id == MessageId.HELLO:

@@ -42,6 +42,7 @@ from heli_host.link.telemetry import Ticks
 from tests.channels.groups import SIGNED
 from tests.link.fake_board import (
     BATCH_TICKS,
+    ILLEGAL_TRAVEL,
     FakeBoard,
     FakeLine,
     ticks_of_received,
@@ -289,7 +290,7 @@ def test_all_parameters_arrive_over_several_replies(session: Session, board: Fak
 def test_status_is_read_and_also_comes_by_itself(session: Session) -> None:
     received: list[StatusMessage] = []
     session.subscribe_status(received.append)
-    assert session.status().illegal_travel == 11
+    assert session.status().illegal_travel == ILLEGAL_TRAVEL
     received.clear()
     session.wait(3.0)
     assert len(received) == 3

@@ -26,6 +26,7 @@ from heli_host.declaration import (
     ExciteMessage,
     MessageId,
     Param,
+    ParamSetMessage,
     Result,
     SetpointMessage,
     State,
@@ -39,6 +40,7 @@ from heli_host.errors import (
     SetpointError,
     WaitTimeout,
 )
+from heli_host.link.frames import Frame
 from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 from heli_host.ui.cli import run
@@ -327,11 +329,11 @@ def test_a_dump_of_which_one_value_is_refused_changes_nothing(board: FakeBoard, 
     before = heli.params.dump()
     execute = board._execute
 
-    def refuse_supply(frame: object) -> bytes:
-        payload = frame.payload  # type: ignore[attr-defined]
-        if frame.id == MessageId.PARAM_SET and payload[1] == Param.SUPPLY_V:  # type: ignore[attr-defined]
+    def refuse_supply(frame: Frame) -> bytes:
+        is_set = frame.id == MessageId.PARAM_SET
+        if is_set and ParamSetMessage.unpack(frame.payload).index == Param.SUPPLY_V:
             board.refusals[MessageId.PARAM_SET] = (Result.UNSAFE_NOW, Param.SUPPLY_V, 0.0)
-        reply = execute(frame)  # type: ignore[arg-type]
+        reply = execute(frame)
         board.refusals.clear()
         return reply
 
