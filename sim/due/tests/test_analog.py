@@ -13,6 +13,11 @@ LOWRES, SLEEP, FREERUN = 1 << 4, 1 << 5, 1 << 7
 DRDY, GOVRE, ENDRX, RXBUFF = 1 << 24, 1 << 25, 1 << 27, 1 << 28
 TAG = 1 << 24
 NVIC_ISPR1 = 0xE000E204
+ADC_CLOCK = 1 << (37 - 32)
+"""In PMC_PCER1 and PMC_PCDR1."""
+RXTEN = 1 << 0
+DATRDY = 1 << 0
+TXRDY, DACC_TAG, CHANNEL_1_TAG = 1 << 0, 1 << 20, 1 << 12
 # PRESCAL = 1: MCK / 4. A conversion takes TRACKTIM + 1 and 20 periods.
 MODE, CONVERSION = 1 << 8, 21 * 4
 
@@ -120,9 +125,9 @@ def test_a_disabled_channel_is_left_out() -> None:
 def test_a_conversion_waits_while_the_clock_is_off() -> None:
     chip = converter(7)
     chip["ADC.CR"] = START
-    chip["PMC.PCDR1"] = 1 << 5
+    chip["PMC.PCDR1"] = ADC_CLOCK
     chip.run_cycles(10 * CONVERSION)
-    chip["PMC.PCER1"] = 1 << 5
+    chip["PMC.PCER1"] = ADC_CLOCK
     assert chip["ADC.ISR"] & DRDY == 0
     chip.run_cycles(CONVERSION)
     assert chip["ADC.ISR"] & DRDY
@@ -152,7 +157,7 @@ def test_the_pdc_carries_halfwords_to_memory_and_says_when_its_buffers_are_full(
     chip["ADC.CR"] = SWRST
     chip["ADC.RPR"], chip["ADC.RCR"] = RAM + 0x100, 3
     chip["ADC.RNPR"], chip["ADC.RNCR"] = RAM + 0x200, 2
-    chip["ADC.PTCR"] = 1
+    chip["ADC.PTCR"] = RXTEN
     chip["ADC.CHER"] = 1 << 3 | 1 << 5
     chip["ADC.MR"] = MODE | FREERUN
     chip.run_cycles(7 * CONVERSION // 2)
@@ -201,13 +206,13 @@ def test_an_output_lies_between_one_and_five_sixths_of_3V3(code: int, volts: flo
 
 def test_the_queue_of_the_outputs_takes_four_values_and_says_so() -> None:
     chip = Chip("DACC")
-    chip["DACC.MR"] = 1 << 20
-    assert chip["DACC.ISR"] & 1 == 0
+    chip["DACC.MR"] = DACC_TAG
+    assert chip["DACC.ISR"] & TXRDY == 0
     chip["DACC.CHER"] = 3
     for code in range(4):
-        assert chip["DACC.ISR"] & 1
-        chip["DACC.CDR"] = 1 << 12 | code
-    assert chip["DACC.ISR"] & 1 == 0
+        assert chip["DACC.ISR"] & TXRDY
+        chip["DACC.CDR"] = CHANNEL_1_TAG | code
+    assert chip["DACC.ISR"] & TXRDY == 0
     with pytest.raises(Stop, match=r"write while DACC_ISR\.TXRDY is 0"):
         chip["DACC.CDR"] = 0
     chip.run_cycles(4 * 50 + 4)
@@ -278,10 +283,10 @@ def test_it_stops_when_it_is_disabled_and_needs_its_key() -> None:
 def test_a_ready_word_interrupts_where_that_is_enabled() -> None:
     chip = generating()
     assert chip["TRNG.IMR"] == 0
-    chip["TRNG.IER"] = 1
+    chip["TRNG.IER"] = DATRDY
     assert chip["TRNG.IMR"] == 1
     assert not chip.word(NVIC_ISPR1) >> 41 - 32 & 1
     chip.due.run_us(3.0)
     assert chip.word(NVIC_ISPR1) >> 41 - 32 & 1
-    chip["TRNG.IDR"] = 1
+    chip["TRNG.IDR"] = DATRDY
     assert chip["TRNG.IMR"] == 0

@@ -397,7 +397,7 @@ def decoder(mode: int, *, block: str = "TC0", maxfilt: int = 0) -> Chip:
     chip = encoders(Chip(block))
     chip[f"{block}.CMR0"] = SLOW
     chip[f"{block}.BMR"] = mode | maxfilt << 20
-    chip[f"{block}.CCR0"] = 5
+    chip[f"{block}.CCR0"] = CLKEN | SWTRG
     chip.due.run_us(32)
     chip[f"{block}.CMR0"] = XC0
     assert chip[f"{block}.CV0"] == 0
@@ -433,10 +433,10 @@ def test_a_trigger_costs_the_first_step(direction: int) -> None:
     chip = encoders(Chip("TC0"))
     chip["TC0.CMR0"] = XC0
     chip["TC0.BMR"] = X4
-    chip["TC0.CCR0"] = 5
+    chip["TC0.CCR0"] = CLKEN | SWTRG
     walk(chip, 0, [direction] * 10)
     assert signed(chip["TC0.CV0"]) == 9 * direction
-    chip["TC0.CCR0"] = 4
+    chip["TC0.CCR0"] = SWTRG
     assert signed(chip["TC0.CV0"]) == 9 * direction
     walk(chip, 0, [direction])
     assert chip["TC0.CV0"] == 0

@@ -8,6 +8,9 @@ from due_emulator import Stop
 
 pytestmark = pytest.mark.emulated
 
+# Bits of pins in the registers of their controller.
+PA29, PB12, PB13, PC21, PD2 = 1 << 29, 1 << 12, 1 << 13, 1 << 21, 1 << 2
+
 D2 = 1 << 25
 
 
@@ -16,7 +19,7 @@ def test_pull_ups_are_on_after_reset() -> None:
     assert chip["PIOC.PUSR"] == 0
     assert chip["PIOC.PSR"] == 0xFFFF_FFFF
     assert chip.due.pin("PC21")
-    chip["PIOC.PUDR"] = 1 << 21
+    chip["PIOC.PUDR"] = PC21
     assert not chip.due.pin("PC21")
 
 
@@ -30,19 +33,19 @@ def test_external_pull_down_beats_the_chips_pull_up() -> None:
 
 def test_output_register_pair_and_direct_writes() -> None:
     chip = Chip("PIOB")
-    chip["PIOB.OER"] = 3 << 12
-    chip["PIOB.SODR"] = 1 << 12
-    assert chip["PIOB.ODSR"] == 1 << 12
+    chip["PIOB.OER"] = PB12 | PB13
+    chip["PIOB.SODR"] = PB12
+    assert chip["PIOB.ODSR"] == PB12
     assert chip["PIOB.PDSR"] >> 12 & 3 == 1
-    chip["PIOB.OWER"] = 1 << 13
-    chip["PIOB.ODSR"] = 1 << 13
-    assert chip["PIOB.ODSR"] == 3 << 12
+    chip["PIOB.OWER"] = PB13
+    chip["PIOB.ODSR"] = PB13
+    assert chip["PIOB.ODSR"] == PB12 | PB13
 
 
 def test_open_drain_only_pulls_low() -> None:
     chip = Chip("PIOB")
-    chip["PIOB.MDER"] = chip["PIOB.OER"] = 1 << 12
-    chip["PIOB.SODR"] = 1 << 12
+    chip["PIOB.MDER"] = chip["PIOB.OER"] = PB12
+    chip["PIOB.SODR"] = PB12
     chip.due.set_pin("PB12", "low")
     assert not chip.due.pin("PB12")
 
@@ -64,12 +67,12 @@ def test_interrupts_on_edges_and_levels(setup: tuple[str, ...], levels: tuple[st
     chip = Chip("PIOD")
     chip.due.set_pin("PD2", levels[0])
     for register in setup:
-        chip[f"PIOD.{register}"] = 1 << 2
+        chip[f"PIOD.{register}"] = PD2
     assert chip["PIOD.ISR"] >= 0
-    chip["PIOD.IER"] = 1 << 2
+    chip["PIOD.IER"] = PD2
     chip.due.set_pin("PD2", levels[1])
     assert (chip.due.read_word(0xE000E200) >> 14 & 1) == seen
-    assert bool(chip["PIOD.ISR"] & 1 << 2) is seen
+    assert bool(chip["PIOD.ISR"] & PD2) is seen
 
 
 def test_reading_pins_needs_the_clock_and_setting_them_does_not() -> None:
@@ -83,20 +86,23 @@ def test_two_drivers_on_one_pin_are_noticed() -> None:
     chip = Chip("PIOB")
     chip.due.set_pin("PB12", "high")
     with pytest.raises(Stop, match="contention: pin PB12"):
-        chip["PIOB.OER"] = 1 << 12
+        chip["PIOB.OER"] = PB12
 
 
 def test_D4_and_PA29_are_one_wire() -> None:
     chip = Chip("PIOA", "PIOC")
     chip.due.set_pin("PC26", "low")
-    chip["PIOA.SODR"] = 1 << 29
+    chip["PIOA.SODR"] = PA29
     with pytest.raises(Stop, match="contention"):
-        chip["PIOA.OER"] = 1 << 29
+        chip["PIOA.OER"] = PA29
 
 
 CENTER = 1 << 8
 CPOL = 1 << 9
 GROUP = 0xF1
+"""Channels 0 and 4 to 7, as synchronous channels."""
+FAULT_2 = 1 << 2
+"""Fault input 2 of the PWM."""
 
 
 def started(mode: int, period: int, duty: int, *, channel: int = 4, clock: int = 0) -> Chip:
@@ -174,8 +180,8 @@ def test_pin_shows_the_wave_of_its_channel() -> None:
 def test_low_side_of_a_disabled_channel_is_high_unless_CPOL_is_set(mode: int, idle: bool) -> None:
     chip = Chip("PWM", "PIOC")
     chip["PWM.CMR4"] = mode
-    chip["PIOC.ABSR"] = 1 << 21
-    chip["PIOC.PDR"] = 1 << 21
+    chip["PIOC.ABSR"] = PC21
+    chip["PIOC.PDR"] = PC21
     assert chip.due.pin("PC21") is idle
 
 
@@ -224,7 +230,7 @@ def armed_fault(latched: bool) -> Chip:
     # FPOL: input 2 is active low, the others high; FMOD: input 2 is latched.
     chip["PWM.FMR"] = (1 << 10 if latched else 0) | 0x3B
     chip["PWM.FCR"] = 0xFF
-    chip["PWM.FPE1"] = 1 << 2
+    chip["PWM.FPE1"] = FAULT_2
     chip.run_cycles(2 * 4200)
     return chip
 
@@ -245,8 +251,8 @@ def test_a_latched_fault_lasts_until_it_is_cleared() -> None:
     chip.due.set_pin("PD6", "low")
     chip.due.set_pin("PD6", "open")
     assert chip.due.pin_duty("PC21") == 0.0
-    assert chip["PWM.FSR"] >> 8 & 1 << 2
-    chip["PWM.FCR"] = 1 << 2
+    assert chip["PWM.FSR"] >> 8 & FAULT_2
+    chip["PWM.FCR"] = FAULT_2
     assert chip.due.pin_duty("PC21") == pytest.approx(1 / 3)
 
 
@@ -261,7 +267,7 @@ def test_a_filtered_fault_input_drops_what_is_shorter_than_a_clock(filtered: boo
     chip.run_cycles(10)
     dropped = filtered and cycles == 0
     assert chip.due.pin_duty("PC21") == (pytest.approx(1 / 3) if dropped else 0.0)
-    assert bool(chip["PWM.FSR"] >> 8 & 1 << 2) is not dropped
+    assert bool(chip["PWM.FSR"] >> 8 & FAULT_2) is not dropped
 
 
 def test_synchronous_channels_ignore_their_own_fault_enables() -> None:

@@ -14,6 +14,8 @@ RXRDY, TXRDY, ENDRX, ENDTX, OVRE, FRAME, PARE = (1 << i for i in (0, 1, 3, 4, 5,
 TXEMPTY, TXBUFE, RXBUFF = 1 << 9, 1 << 11, 1 << 12
 NO_PARITY = 4 << 9
 RXEN, TXEN = 1 << 4, 1 << 6
+RXTEN = 1 << 0
+"""In UART_PTCR: the DMA receives."""
 TXTEN = 1 << 8
 """In UART_PTCR: the DMA sends."""
 BYTE_CYCLES = 10 * 16 * 21
@@ -94,7 +96,7 @@ def test_dma_fills_two_buffers_in_a_row_and_says_when() -> None:
     chip = opened()
     chip["UART.RPR"], chip["UART.RCR"] = RAM, 3
     chip["UART.RNPR"], chip["UART.RNCR"] = RAM + 0x100, 2
-    chip["UART.PTCR"] = 1
+    chip["UART.PTCR"] = RXTEN
     assert chip["UART.SR"] & (ENDRX | RXBUFF) == 0
     chip.due.usb_write(b"abcde")
     chip.due.run_us(3 * 40 + 1)
@@ -108,7 +110,7 @@ def test_dma_fills_two_buffers_in_a_row_and_says_when() -> None:
 def test_a_buffer_that_is_written_as_the_running_one_ends_is_noticed() -> None:
     chip = opened()
     chip["UART.RPR"], chip["UART.RCR"] = RAM, 3
-    chip["UART.PTCR"] = 1
+    chip["UART.PTCR"] = RXTEN
     chip.due.usb_write(b"ab")
     chip.due.run_us(2 * 40 + 1)
     assert chip["UART.RCR"] == 1
@@ -164,7 +166,7 @@ def test_sending_without_the_pin_is_noticed() -> None:
 def test_dma_into_nothing_is_noticed() -> None:
     chip = opened()
     chip["UART.RPR"], chip["UART.RCR"] = 0x1000_0000, 1
-    chip["UART.PTCR"] = 1
+    chip["UART.PTCR"] = RXTEN
     chip.due.usb_write(b"x")
     with pytest.raises(Stop, match=r"UART_RPR .* no SRAM"):
         chip.due.run_us(100)
@@ -243,7 +245,7 @@ def test_a_host_that_does_not_read_loses_bytes_silently() -> None:
 def test_bytes_for_the_board_wait_in_the_hosts_driver() -> None:
     chip = opened()
     chip["UART.RPR"], chip["UART.RCR"] = 0x2007_0000, 2000
-    chip["UART.PTCR"] = 1
+    chip["UART.PTCR"] = RXTEN
     data = bytes(i & 0xFF for i in range(1000))
     chip.due.usb_write(data)
     chip.due.run_us(1000 * 40 + 100)
@@ -252,6 +254,12 @@ def test_bytes_for_the_board_wait_in_the_hosts_driver() -> None:
 
 
 UPLLEN, LOCKU, UOTGCLK = 1 << 16, 1 << 6, 1 << 5
+UPLLCOUNT = 3 << 20
+"""Three steps of eight slow periods, in which the PLL locks."""
+USBS_UPLL = 1 << 0
+"""In PMC_USB: the clock comes from UPLL."""
+UOTGHS_CLOCK = 1 << (40 - 32)
+"""In PMC_PCER1."""
 USBE, CLKUSABLE = 1 << 15, 1 << 14
 
 
@@ -271,9 +279,9 @@ def test_UPLL_locks_after_eight_slow_periods_for_each_count(count: int) -> None:
 
 def test_the_usb_clock_is_shown_once_it_runs() -> None:
     chip = Chip()
-    chip["PMC.UCKR"] = 3 << 20 | UPLLEN
+    chip["PMC.UCKR"] = UPLLCOUNT | UPLLEN
     chip.wait("PMC.SR", LOCKU)
-    chip["PMC.USB"] = 1
+    chip["PMC.USB"] = USBS_UPLL
     assert chip["PMC.SCSR"] == 1
     chip["PMC.SCER"] = UOTGCLK
     assert chip["PMC.SCSR"] == UOTGCLK | 1
@@ -286,20 +294,20 @@ def test_the_usb_clock_is_shown_once_it_runs() -> None:
 
 def test_UPLL_needs_the_crystal() -> None:
     with pytest.raises(Stop, match="before the 12 MHz crystal runs"):
-        Chip(full_speed=False)["PMC.UCKR"] = 3 << 20 | UPLLEN
+        Chip(full_speed=False)["PMC.UCKR"] = UPLLCOUNT | UPLLEN
 
 
 def test_the_usb_clock_waits_for_the_lock_of_its_source() -> None:
     chip = Chip()
-    chip["PMC.USB"] = 1
-    chip["PMC.UCKR"] = 3 << 20 | UPLLEN
+    chip["PMC.USB"] = USBS_UPLL
+    chip["PMC.UCKR"] = UPLLCOUNT | UPLLEN
     with pytest.raises(Stop, match=r"before PMC_SR\.LOCKU says that UPLL"):
         chip["PMC.SCER"] = UOTGCLK
 
 
 def test_a_lock_of_UPLL_that_is_said_too_early_is_noticed() -> None:
     chip = Chip()
-    chip["PMC.USB"] = 1
+    chip["PMC.USB"] = USBS_UPLL
     chip["PMC.UCKR"] = UPLLEN
     chip.wait("PMC.SR", LOCKU)
     with pytest.raises(Stop, match=r"UPLLCOUNT is too short: UPLL needs 0\.1 ms"):
@@ -308,10 +316,10 @@ def test_a_lock_of_UPLL_that_is_said_too_early_is_noticed() -> None:
 
 def test_the_ports_clock_is_usable_with_UPLL_and_the_port_on() -> None:
     chip = Chip()
-    chip["PMC.PCER1"] = 1 << 8
+    chip["PMC.PCER1"] = UOTGHS_CLOCK
     for upll in (False, True):
         if upll:
-            chip["PMC.UCKR"] = 3 << 20 | UPLLEN
+            chip["PMC.UCKR"] = UPLLCOUNT | UPLLEN
             chip.wait("PMC.SR", LOCKU)
         for enabled in (0, USBE):
             chip["UOTGHS.CTRL"] = enabled
@@ -320,7 +328,7 @@ def test_the_ports_clock_is_usable_with_UPLL_and_the_port_on() -> None:
 
 def test_masks_and_switches_of_the_port_are_kept() -> None:
     chip = Chip()
-    chip["PMC.PCER1"] = 1 << 8
+    chip["PMC.PCER1"] = UOTGHS_CLOCK
     chip["UOTGHS.DEVIER"] = 0x1C
     chip["UOTGHS.DEVIDR"] = 0x04
     assert chip["UOTGHS.DEVIMR"] == 0x18
