@@ -598,6 +598,19 @@ def host_stops(board: Board, _laws: Laws) -> None:
     board.run(6000)
 
 
+def doublet(tilt_V: float, duration_s: float) -> dict[str, float]:
+    """Return the fields of an excitation that tilts the arm to one side, then to the other."""
+    return {
+        "kind": d.Excitation.DOUBLET,
+        "front_V": tilt_V,
+        "back_V": -tilt_V,
+        "start_Hz": 0.0,
+        "stop_Hz": 0.0,
+        "duration_s": duration_s,
+        "seed": 0,
+    }
+
+
 def streams(board: Board, _laws: Laws) -> None:
     """The host streams voltages near hover, late, beyond their range, and with setpoints of its own."""
     take_off(board, seconds=2.0)
@@ -616,11 +629,10 @@ def streams(board: Board, _laws: Laws) -> None:
             board.send(d.VoltagesMessage(front_V=11.0, back_V=1.0, valid_ms=20))
             board.point(elevation_deg=1.0, pitch_deg=1.0, travel_deg=1.0)
         board.run(board.chance.choice((3, 10, 20)))
-    board.ask(
-        d.ExciteMessage, kind=2, front_V=0.3, back_V=-0.3, start_Hz=0.0, stop_Hz=0.0, duration_s=0.4, seed=0
-    )
+    board.ask(d.ExciteMessage, **doublet(tilt_V=0.3, duration_s=0.4))
     board.run(700)
     hover(board, 2.0, LEVEL_DEG)
+    # Without setpoints, the board lands by itself.
     board.run(6000)
 
 
@@ -636,9 +648,7 @@ def law(board: Board, laws: Laws, name: str = "steady") -> None:
     # Both refused: the law has no such parameter, and a law that flies is not replaced.
     board.ask(d.LawSetMessage, index=9, value=1.2)
     board.ask(d.LawBeginMessage, hash=1, words=20)
-    board.ask(
-        d.ExciteMessage, kind=2, front_V=0.2, back_V=-0.2, start_Hz=0.0, stop_Hz=0.0, duration_s=0.3, seed=0
-    )
+    board.ask(d.ExciteMessage, **doublet(tilt_V=0.2, duration_s=0.3))
     wander(board, 4.0, span_deg=(4.0, 2.0, 15.0))
     board.ask(d.LawReadMessage)
     board.ask(d.LawFlyMessage, on=0)
