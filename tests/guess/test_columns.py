@@ -328,6 +328,15 @@ def test_without_names_a_file_without_travel_is_refused() -> None:
 
 
 @pytest.mark.medium
+@pytest.mark.parametrize(("other", "is_doubted"), [("{}_raw", True), ("{} [mV]", False)])
+def test_two_voltages_of_a_motor_that_differ_by_a_gain_are_doubted(other: str, is_doubted: bool) -> None:
+    table = flight_table()
+    amplified = {other.format(motor): Column(0.8 * table.columns[motor].values) for motor in PAIR}
+    guess = proposed(replace(table, columns={**amplified, **table.columns}))
+    assert ("the columns" in subjects(guess)) == is_doubted
+
+
+@pytest.mark.medium
 def test_names_that_contradict_the_motion_are_named_although_travel_has_none() -> None:
     table = renamed(flight_table(), elevation="alpha", pitch="theta", travel="phi")
     with pytest.raises(FlightDataError, match="elevation is alpha, pitch is theta, travel is phi"):

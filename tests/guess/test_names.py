@@ -56,6 +56,9 @@ from heli_lab.setup.guess.names import (
         ("verplaatsing", "travel", ""),
         ("tensione anteriore", "front", ""),
         ("tensão traseira", "back", ""),
+        ("U_tył", "back", ""),
+        ("obrót", "travel", ""),
+        ("V_trás", "back", ""),
         # The rest of a compound has to be a word, too.
         ("wpitch", "", ""),
     ],

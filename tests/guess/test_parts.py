@@ -81,6 +81,10 @@ def slow_clock(log: Log) -> None:
     log["t_s"][later] = log["t_s"][later.start] + 2.0 * (log["t_s"][later] - log["t_s"][later.start])
 
 
+def turn_over(log: Log) -> None:
+    log["elevation_rad"][rows(log, 50.0, 1e3)] += 2.5
+
+
 def cut_to_pieces(log: Log) -> None:
     """Leave a flight of a few rows, which is too short for a signal."""
     log["travel_rad"][10:] += np.radians(150.0)
@@ -103,6 +107,7 @@ def halve_pitch(log: Log) -> None:
         (change_unit_in_the_middle_of_a_part, "pitch's unit in parts of the file"),
         (cut_voltage, "the back voltage in parts of the file"),
         (slow_clock, "the rate of the clock"),
+        (turn_over, "elevation's unit"),
         (cut_to_pieces, "the front voltage in parts of the file"),
         (halve_pitch, "the scale of pitch's encoder"),
     ],

@@ -197,6 +197,7 @@ TEXTS: Final = {
         [f"2026-05-06 03:04:{int(t):02d}.{round(1e3 * t) % 1000}" for t in T_S],
         "s",
     ),
+    "microseconds without zeros": ([f"{7 + int(t)}.{round(1e6 * t) % 1000000}" for t in T_S], "s"),
     "no zeros at the end": (
         [f"03:04:{int(t):02d}.{f'{round(1e3 * t) % 1000:03d}'.rstrip('0') or '0'}" for t in T_S],
         "s",
@@ -218,6 +219,7 @@ def test_times_are_read_as_programs_write_them(kind: str, tmp_path: Path) -> Non
     conversion = converted(tmp_path, lines(times), unit)
     assert [len(flight) for flight in conversion.flights] == [N]
     assert worst_error(conversion) < 0.05
+    assert actions(conversion) == ({"retimed"} if "without zeros" in kind else set())
 
 
 @pytest.mark.parametrize("back_s", [0.3, 0.305, 7.5])

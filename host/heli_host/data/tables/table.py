@@ -376,7 +376,7 @@ def _clock_seconds(text: pandas.Series) -> Floats:
 
     # LabVIEW writes milliseconds after a third colon.
     text = text.str.replace(r"^(\d+:\d+:\d+):(\d+)$", r"\1.\2", regex=True)
-    text = _with_padded_fractions(text)
+    text = with_padded_fractions(text)
     fields = text.str.split(":", expand=True).apply(pandas.to_numeric, errors="coerce")
     counts = fields.notna().sum(axis=1)
     width = int(counts.mode().iloc[0])
@@ -388,7 +388,7 @@ def _clock_seconds(text: pandas.Series) -> Floats:
     return seconds
 
 
-def _with_padded_fractions(text: pandas.Series) -> pandas.Series:
+def with_padded_fractions(text: pandas.Series) -> pandas.Series:
     """Pad the fractions of seconds with zeros, if a program wrote whole milliseconds without: `.7` for 7 ms.
 
     Other programs leave out the zeros at the end: `.70` shows the first kind, and `.07` the other one.
@@ -409,7 +409,7 @@ def _date_seconds(text: pandas.Series, samples: pandas.Series) -> Floats:
     # A date that begins with a year goes on with the month. Other dates begin with the day in most countries.
     day_first = samples.str.match(r"^\s*\d{4}").mean() < _MIN_CLOCK_SHARE
     text = text.str.replace(_COMPACT, r"\1-\2-\3T\4:\5:", regex=True)
-    text = _with_padded_fractions(text)
+    text = with_padded_fractions(text)
     dates = pandas.to_datetime(text, errors="coerce", dayfirst=day_first, format="mixed", utc=True)
     first = dates.dropna().iloc[:1].min()
     seconds: Floats = np.array((dates - first).dt.total_seconds(), dtype=np.float64)

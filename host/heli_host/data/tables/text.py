@@ -22,7 +22,15 @@ import numpy as np
 from heli_host.data.arrays import Floats, Integers
 from heli_host.data.files import read_file
 from heli_host.data.tables.limits import MAX_BYTES, MAX_ROWS, check_columns, too_large
-from heli_host.data.tables.table import TIME_UNITS, Column, RowChange, Table, seconds_of, unit_of
+from heli_host.data.tables.table import (
+    TIME_UNITS,
+    Column,
+    RowChange,
+    Table,
+    seconds_of,
+    unit_of,
+    with_padded_fractions,
+)
 from heli_host.errors import FlightDataError, file_remedy
 
 if TYPE_CHECKING:
@@ -195,7 +203,13 @@ def read_text(path: Path) -> Table:
     for index, name in enumerate(names):
         cell = ""
         values, unit = numbers_of(frame[index], dialect)
+        texts = frame[index]
+        if _falls_within_seconds(values):
+            texts = pandas.Series([_split_cells(row, dialect)[index : index + 1] for row in rows]).str[0]
+            values = pandas.to_numeric(with_padded_fractions(texts), errors="coerce").to_numpy(np.float64)
         clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
+        if texts is not frame[index] or clock_s is not None:
+            changes += _padded_change(name, texts.dropna().astype(str).str.strip())
         if clock_s is not None:
             columns[name] = Column(clock_s, "s")
         elif np.isfinite(values).any() and not (cell := _other_notation(frame[index], values)):
@@ -218,6 +232,20 @@ def read_text(path: Path) -> Table:
         }
         columns = (_signals_by_name(labels[0], varying) if len(varying) == 2 else {}) or columns
     return Table(str(path), columns, notes, bool(header), tuple(changes), unread, places)
+
+
+def _falls_within_seconds(values: Floats) -> bool:
+    """Whether the whole numbers of a column never fall, but its fractions do, as from `7.9` to `7.10`."""
+    steps = np.diff(values)
+    return bool((np.diff(np.floor(values)) >= 0.0).all() and np.mean(steps < 0.0) > _DAMAGED_SHARE / 10.0)
+
+
+def _padded_change(name: str, texts: pandas.Series) -> list[RowChange]:
+    """Report times whose fractions of seconds are whole numbers without zeros; empty if they are not."""
+    padded = with_padded_fractions(texts)
+    count = int((padded != texts).sum())
+    change = RowChange("retimed", count, f"whose fractions of seconds in '{name}' lack their zeros")
+    return [change] if count else []
 
 
 def _other_notation(cells: pandas.Series, values: Floats) -> str:

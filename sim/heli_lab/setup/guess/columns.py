@@ -66,6 +66,8 @@ _LIMITED_SHARE: Final = 0.01
 """Share of the rows at the largest value from which on a column is limited there, as by an amplifier."""
 _DUPLICATE_CORRELATION: Final = 0.99999
 """Absolute correlation above which two columns are the same signal, in another unit or with another sign."""
+_GAIN_RATIO: Final = 1.02
+"""Ratio of the sizes of two copies of a voltage from which on a gain is between them."""
 _FILTER_LAGS_S: Final = tuple(round(0.01 * number, 2) for number in range(-20, 21))
 """Lags with which a filtered copy may follow its origin [s]; longer ones make a filter useless."""
 _FILTERED_MATCH: Final = 0.95
@@ -346,7 +348,7 @@ def _sorted_by_meaning(
     for role, columns in named.items():
         columns.sort(key=lambda name: (not meanings[name].is_measured, name not in first.encoders))
         measured = [name for name in columns if meanings[name].is_measured]
-        named[role] = _without_copies(first.signals, columns, measured, left_out)
+        named[role] = _without_copies(first, role, columns, measured, left_out)
     return named, free, left_out
 
 
@@ -374,12 +376,14 @@ def _keep_motors_or_sums(named: dict[str, list[str]], left_out: dict[str, str]) 
 
 
 def _without_copies(
-    signals: Signals, columns: list[str], measured: list[str], left_out: dict[str, str]
+    file: PreparedFile, role: str, columns: list[str], measured: list[str], left_out: dict[str, str]
 ) -> list[str]:
     """Leave out the columns of one role that are copies of its first one, or not measured if others are."""
+    signals = file.signals
     kept: list[str] = []
     for name in columns:
-        if kept and _are_copies(signals, name, kept[0]):
+        # A command and the voltage of its amplifier differ by a gain, which the motion does not show.
+        if kept and _are_copies(signals, name, kept[0]) and not _differ_by_gain(file, role, name, kept[0]):
             left_out[name] = f"the same as {kept[0]}"
         elif kept and (lag_s := _filter_lag_s(signals, name, kept[0])) is not None:
             # The copy may come first; then the origin is ahead of it.
@@ -461,6 +465,13 @@ def _share_limit(table: Table, name: str, other: str) -> bool:
     largest = [float(np.nanmax(values)) for values in limits]
     at_limit = [float(np.mean(values == largest[0])) for values in limits]
     return largest[0] == largest[1] and min(at_limit) > _LIMITED_SHARE
+
+
+def _differ_by_gain(file: PreparedFile, role: str, name: str, other: str) -> bool:
+    """Whether two columns of a voltage have different sizes in the same unit."""
+    units = {file.table.columns[each].unit or split_unit(each)[1] for each in (name, other)}
+    sizes = [float(file.signals.raw[each].std()) for each in (name, other)]
+    return role in VOLTAGE_ROLES and len(units) == 1 and max(sizes) > _GAIN_RATIO * min(sizes)
 
 
 def _filter_lag_s(signals: Signals, name: str, origin: str) -> float | None:

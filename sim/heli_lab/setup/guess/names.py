@@ -33,28 +33,28 @@ _WORDS: Final = {
         *("elevation", "elev", "theta", "epsilon", "eps", "el", "e"),
         *("elevasjon", "hoyde", "hoydevinkel", "elevacion", "altura", "高度", "升降"),
         *("hohe", "hohen", "hohenwinkel", "hoehe", "hoehen", "hoehenwinkel", "steigwinkel"),
-        *("elevazione", "elevacao", "elevatie"),
+        *("elevazione", "elevacao", "elevatie", "elewacja", "elevace", "hojd"),
     ),
     "pitch": (
         *("pitch", "phi", "rho", "p", "tilt", "pit"),
         *("helling", "stigning", "nick", "nicken", "nickwinkel", "neigung", "tangage", "cabeceo", "俯仰"),
-        *("beccheggio", "arfagem"),
+        *("beccheggio", "arfagem", "pochylenie", "naklon"),
     ),
     "travel": (
         *("travel", "trav", "psi", "lambda", "lam", "lamda", "yaw", "azimuth", "heading", "tr"),
         *("vandring", "dreh", "drehwinkel", "gier", "gieren", "gierwinkel", "azimut", "schwenk"),
         *("schwenkwinkel", "lacet", "rotation", "giro", "desplazamiento", "deplacement", "旋转", "巡航"),
-        *("spostamento", "deslocamento", "verplaatsing"),
+        *("spostamento", "deslocamento", "verplaatsing", "traslazione", "obrot", "viaje"),
     ),
     "front": (
         *("front", "vf", "uf", "uv", "forward", "fwd", "mf", "f"),
         *("foran", "fremme", "vorne", "vorn", "vorderer", "avant", "delantero", "前"),
-        *("anteriore", "frontal", "dianteiro", "dianteira", "voor"),
+        *("anteriore", "frontal", "dianteiro", "dianteira", "frente", "voor", "przod", "przedni", "predni"),
     ),
     "back": (
         *("back", "rear", "vb", "ub", "uh", "aft", "mb", "b", "vr", "ur", "mr"),
         *("bak", "bakre", "hinten", "hinterer", "heck", "arriere", "trasero", "后"),
-        *("posteriore", "traseiro", "traseira", "achter"),
+        *("posteriore", "traseiro", "traseira", "tras", "achter", "tyl", "tylny", "zadni"),
     ),
     "sum": ("sum", "vs", "us", "collective", "coll", "total", "vsum", "summe", "somme", "suma"),
     "difference": (
@@ -63,7 +63,7 @@ _WORDS: Final = {
     ),
 }
 """Words for each role, without accents: English, Greek letters, Norwegian, German, French, Spanish, Italian,
-Portuguese, Dutch and Chinese. In German, vorne and hinten are abbreviated to v and h."""
+Portuguese, Dutch, Polish, Czech and Chinese. In German, vorne and hinten are abbreviated to v and h."""
 _OTHER_QUANTITIES: Final = {
     "a setpoint": (
         *("ref", "reference", "setpoint", "set", "sp", "des", "desired", "cmd", "command", "target", "goal"),
@@ -327,7 +327,9 @@ def meaning_of(name: str, unit: str = "") -> ColumnMeaning:
     else:
         possible = ROLES
     if role in possible:
-        return ColumnMeaning(role, "", bool(_MEASURED.intersection(words)), (role,))
+        # A raw voltage is a command before its limit.
+        measuring = _MEASURED - {"raw"} if role in VOLTAGE_ROLES else _MEASURED
+        return ColumnMeaning(role, "", bool(measuring.intersection(words)), (role,))
     bare = {word for word in words if not any(char.isdigit() for char in word)}
     if possible == ROLES and _VOLTAGES.intersection(bare) and bare <= _VOLTAGES | _SIDES | _SIDE_LETTERS:
         possible = VOLTAGE_ROLES
@@ -345,7 +347,7 @@ def words_of(name: str) -> list[str]:
     bare = _CAMEL.sub("_", split_unit(name)[0])
     without_accents = "".join(
         char
-        for char in unicodedata.normalize("NFKD", bare.lower().replace("ø", "o"))
+        for char in unicodedata.normalize("NFKD", bare.lower().replace("ø", "o").replace("ł", "l"))
         if not unicodedata.combining(char)
     )
     words = [word for word in _SPLIT.split(without_accents) if word]

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
-from heli_host.data.flight import Flight
+from heli_host.data.flight import Flight, check_flight
 from heli_host.data.tables import Column, Profile, Table, convert
 from heli_host.data.tables.convert import times_of
 from heli_host.data.tables.rows import runs_of
@@ -93,8 +93,24 @@ def part_ambiguities(
         ambiguities += _changed_rate(rows, profile) + _decodings(rows, profile, rig, is_given=is_given)
     ambiguities += _changed_motion(flights, reference, rig)
     for flight in flights:
+        ambiguities += _impossible_values(flight)
         ambiguities += _jumps(flight) + _flat_tops(flight) + _held_voltages(flight, reference)
     return list({ambiguity.subject: ambiguity for ambiguity in reversed(ambiguities)}.values())[::-1]
+
+
+def _impossible_values(flight: Flight) -> list[Ambiguity]:
+    """Report a flight that nobody can write, because a part of it has values that no rig reaches."""
+    try:
+        check_flight(flight, "")
+    except FlightDataError as error:
+        reason = error.cause.removeprefix(": ")
+        axes = [axis for axis in AXES if reason.startswith(axis)]
+        subject = f"{axes[0]}'s unit" if axes else "the time" if reason.startswith("t_s") else "the units"
+        reason = f"no flight can be written, because {reason}; correct its column, unit or zero"
+        return [
+            Ambiguity(subject, "as proposed", "another unit, or other values in a part of the file", reason)
+        ]
+    return []
 
 
 def _changed_rate(table: Table, profile: Profile) -> list[Ambiguity]:

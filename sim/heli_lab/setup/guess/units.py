@@ -76,6 +76,10 @@ _HOVER_STD: Final = 0.25
 are within 0.15."""
 _MAX_DEVIATION_STD: Final = 3.0
 """Deviation from the rig file, in standard deviations, from which on the guess reports that no unit fits."""
+_COMMON_GAIN: Final = 0.9
+_COMMON_GAIN_SPREAD: Final = 0.9
+"""Smallest mean of the logarithms of all axes' gains over the rig file's, and their largest range, from which
+on the clock is in doubt: one that runs at half of the rate multiplies each gain by 4."""
 _MAX_ALTERNATIVES: Final = 4
 """Largest number of other units that an ambiguity lists."""
 REST_TOLERANCE_DEG: Final = 4.0
@@ -381,6 +385,7 @@ def choose_scale(motion: MeasuredMotion, reference: Reference, rig: Rig) -> tupl
         *_contradicted_headers(best, ranked[0], motion),
         *_equally_likely_units(as_stated, motion, reference, rig),
         *_implausible_scales(best, rig),
+        *_implausible_rate(best),
         *_supply_ambiguities(as_stated, motion, reference),
     ]
 
@@ -469,6 +474,25 @@ def _implausible_scales(best: Scale, rig: Rig) -> list[Ambiguity]:
         )
         for quantity, deviation_std in deviations.items()
         if abs(deviation_std) > _MAX_DEVIATION_STD
+    ]
+
+
+def _implausible_rate(best: Scale) -> list[Ambiguity]:
+    """Report a clock with which all gains are the same multiple of the rig file's, and the hover is not."""
+    deviations = best.deviation_std or {}
+    logs = [deviations.get(axis, 0.0) * _GAIN_STD[axis] for axis in AXES]
+    is_common = min(logs) * max(logs) > 0.0 and max(logs) - min(logs) < _COMMON_GAIN_SPREAD
+    mean = sum(logs) / len(logs)
+    if not is_common or abs(mean) < _COMMON_GAIN or abs(deviations.get("hover", 0.0)) > 1.0:
+        return []
+    return [
+        Ambiguity(
+            "the time",
+            "as logged",
+            f"about {math.exp(0.5 * mean):.1f} times as long",
+            f"each axis accelerates about {math.exp(mean):.1f} times as much as the rig file says; measure "
+            "the duration of a log with another clock",
+        )
     ]
 
 
