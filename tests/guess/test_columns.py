@@ -70,7 +70,7 @@ def test_a_name_states_another_quantity(name: str, quantity: str) -> None:
     assert meaning_of(name).quantity == quantity
 
 
-@pytest.mark.parametrize("name", ["Tid [s]", "Zeit", "Temps (s)", "tiempo", "时间(s)"])
+@pytest.mark.parametrize("name", ["Tid [s]", "Zeit", "Temps (s)", "tiempo", "时间(s)", "Čas", "czas"])
 def test_a_name_states_the_time(name: str) -> None:
     assert is_time(name)
 

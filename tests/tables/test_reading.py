@@ -284,6 +284,19 @@ def test_negative_numbers_of_accountants(form: str, tmp_path: Path) -> None:
     assert_same_columns(read_table(path))
 
 
+@pytest.mark.parametrize("decimal", [".", ","])
+def test_a_column_that_rises_and_trembles_is_no_clock_without_zeros(decimal: str, tmp_path: Path) -> None:
+    rising = np.floor(2.0 * T_S) + np.where(np.arange(T_S.size) % 2, 0.5, 0.4)
+    path = tmp_path / "a.csv"
+    path.write_text(
+        "\n".join(["t;x", *(f"{t:.3f};{x:.4g}" for t, x in zip(T_S, rising, strict=True))]).replace(
+            ".", decimal
+        )
+    )
+    table = read_table(path)
+    assert table.columns["x"].values == pytest.approx(rising) and not table.changes
+
+
 def test_numbers_in_two_notations_are_no_column_of_numbers(tmp_path: Path) -> None:
     # Four hexadecimal digits may look like a number.
     words = [f"{round(100.0 * x) % 65536:04X}" for x in X]

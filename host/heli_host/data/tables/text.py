@@ -204,9 +204,12 @@ def read_text(path: Path) -> Table:
         cell = ""
         values, unit = numbers_of(frame[index], dialect)
         texts = frame[index]
-        if _falls_within_seconds(values):
-            texts = pandas.Series([_split_cells(row, dialect)[index : index + 1] for row in rows]).str[0]
-            values = pandas.to_numeric(with_padded_fractions(texts), errors="coerce").to_numpy(np.float64)
+        if len(frame) == len(rows) and _falls_within_seconds(values):
+            cells = [_split_cells(row, dialect)[index : index + 1] for row in rows]
+            padded = pandas.Series(cells).str[0].str.replace(dialect.decimal, ".")
+            times = pandas.to_numeric(with_padded_fractions(padded), errors="coerce").to_numpy(np.float64)
+            if (np.diff(times) >= 0.0).all():
+                texts, values = padded, times
         clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
         if texts is not frame[index] or clock_s is not None:
             changes += _padded_change(name, texts.dropna().astype(str).str.strip())
@@ -235,9 +238,11 @@ def read_text(path: Path) -> Table:
 
 
 def _falls_within_seconds(values: Floats) -> bool:
-    """Whether the whole numbers of a column never fall, but its fractions do, as from `7.9` to `7.10`."""
-    steps = np.diff(values)
-    return bool((np.diff(np.floor(values)) >= 0.0).all() and np.mean(steps < 0.0) > _DAMAGED_SHARE / 10.0)
+    """Whether the whole numbers of a column rise and never fall, but its fractions do, as after `7.9` in
+    `7.10`.
+    """
+    whole = np.floor(values)
+    return bool(np.ptp(whole) > 1.0 and (np.diff(whole) >= 0.0).all() and (np.diff(values) < 0.0).any())
 
 
 def _padded_change(name: str, texts: pandas.Series) -> list[RowChange]:

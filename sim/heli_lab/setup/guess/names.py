@@ -163,7 +163,7 @@ _HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle", "
 _TIMES: Final = frozenset(
     {
         *("t", "time", "times", "timestamp", "stamp"),
-        *("tid", "zeit", "temps", "tiempo", "tempo", "tijd", "时间"),
+        *("tid", "zeit", "temps", "tiempo", "tempo", "tijd", "czas", "cas", "zaman", "时间"),
         *("millis", "micros", "clock", "tout", "seconds", "elapsed", "zeitstempel", "uhrzeit", "tidspunkt"),
     }
 )
