@@ -210,11 +210,20 @@ def test_a_third_change_contradicts_the_model(monkeypatch: pytest.MonkeyPatch) -
     assert kinds_of(events) == ["free", "alarm", "diagnosed", "alarm", "diagnosed", "contradicts"]
 
 
-@pytest.mark.parametrize(("scale_error", "expected_kind"), [(-0.5, "alarm"), (-0.05, "contradicts")])
+def test_the_changes_that_a_wrong_model_named_before_are_withdrawn_in_the_report() -> None:
+    events = (TwinEvent("diagnosed", 5.0, "alarm at 4.0 s"), TwinEvent("contradicts", 9.0, "not this model"))
+    report = TwinReport("x", events, (), threshold_nats=1.0, free_s=60.0)
+    assert report.sentences() == ["not this model", "withdrawn: alarm at 4.0 s"]
+
+
+@pytest.mark.parametrize(
+    ("axis", "scale_error", "expected_kind"),
+    [("travel", -0.5, "alarm"), ("travel", -0.05, "contradicts"), ("elevation", 1.0, "contradicts")],
+)
 def test_early_evidence_names_only_a_large_error_of_an_encoder_scale(
-    monkeypatch: pytest.MonkeyPatch, scale_error: float, expected_kind: str
+    monkeypatch: pytest.MonkeyPatch, axis: str, scale_error: float, expected_kind: str
 ) -> None:
-    (scale,) = (change for change in CHANGES if change.id == "encoder_scale.travel")
+    (scale,) = (change for change in CHANGES if change.id == f"encoder_scale.{axis}")
     events = reported_events(
         monkeypatch, 100 * ABOVE, calibration_s=CALIBRATION_s, change=scale, size=scale_error
     )

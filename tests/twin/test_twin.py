@@ -164,6 +164,17 @@ def fly_with_scale(folder: Path, encoder_scale: str) -> Path:
 
 
 @pytest.mark.slow
+def test_a_machine_whose_rotors_lag_is_not_this_model_and_no_change_of_it_is_named(tmp_path: Path) -> None:
+    plan, log = tmp_path / "short.toml", tmp_path / "flight.mcap"
+    plan.write_text(EXCITED_PLAN)
+    run(["fly", str(plan), "--log", str(log), "--port", "sil://?effect=rotor_lag%3D0.1&speed=max"])
+    report = monitor_file(open_rig("makki2024"), log, FALSE_ALARM_INTERVAL_h)
+    assert not report.alarms
+    (sentence,) = report.sentences()
+    assert sentence.startswith("not this model from the start")
+
+
+@pytest.mark.slow
 def test_half_the_counts_of_travel_are_named(tmp_path: Path) -> None:
     log = fly_with_scale(tmp_path, "travel:0.5")
     (alarm,) = monitor_file(open_rig("makki2024"), log, FALSE_ALARM_INTERVAL_h).alarms

@@ -178,6 +178,7 @@ def _fit_lines(twin_rig: TwinRig, reports: Sequence[TwinReport], false_alarm_int
         f"{report.label}: {report.fit or too_short}"
         for report in reports
         if not any(event.kind == "contradicts" for event in report.events)
+        and (report.fit or not report.alarms)
     ]
 
 

@@ -70,9 +70,13 @@ class TwinReport:
         if not self.free_s:
             return ["no free flight to compare"]
         contradictions = [event.text for event in self.events if event.kind == "contradicts"]
+        if contradictions:
+            # What a model names before it turns out not to fit is none of the rig.
+            withdrawn = [f"withdrawn: {event.text}" for event in self.alarms]
+            return [*contradictions, *withdrawn, *self._unjudged()]
         alarms = [event.text for event in self.alarms]
         glitches = [event.text for event in self.events if event.kind == "glitch"]
-        return [*(contradictions + alarms or self._no_change()), *self._unjudged(), *glitches]
+        return [*(alarms or self._no_change()), *self._unjudged(), *glitches]
 
     def _no_change(self) -> list[str]:
         """State for how long no change was detected."""
