@@ -72,6 +72,12 @@ def change_unit_in_the_middle_of_a_part(log: Log) -> None:
     log["pitch_rad"][rows(log, 93.0, 1e3)] /= np.degrees(1.0)
 
 
+def hold_both_voltages(log: Log) -> None:
+    for motor in ("front_V", "back_V"):
+        held = rows(log, 50.0, 53.0)
+        log[motor][held] = log[motor][held.start]
+
+
 def cut_voltage(log: Log) -> None:
     log["back_V"][rows(log, 50.0, 51.0)] = 0.0
 
@@ -103,6 +109,7 @@ def halve_pitch(log: Log) -> None:
         (lose_counts, "pitch's zero in parts of the file"),
         (limit, "pitch beyond its highest value"),
         (hold_voltage, "the front voltage in parts of the file"),
+        (hold_both_voltages, "the front voltage in parts of the file"),
         (hold_rounded_voltage, "the front voltage in parts of the file"),
         (change_unit_in_the_middle_of_a_part, "pitch's unit in parts of the file"),
         (cut_voltage, "the back voltage in parts of the file"),

@@ -423,7 +423,7 @@ def test_one_damaged_value_of_an_angle_that_hardly_moves_is_a_spike() -> None:
 
 def test_the_number_that_a_program_writes_instead_of_a_value_is_no_value_near_it() -> None:
     values = VALUES[:, 2].copy()
-    without_reading = np.arange(20, N, 61)
+    without_reading = np.sort(np.concatenate((np.arange(20, N, 61), np.arange(21, N, 305))))
     values[without_reading] = -1.0
     is_spike = spikes(values)
     assert set(np.flatnonzero(is_spike)) <= set(without_reading)

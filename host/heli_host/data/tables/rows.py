@@ -717,10 +717,13 @@ def _is_substitute(values: Floats, is_spike: Booleans) -> Booleans:
     result = np.zeros(is_spike.size, bool)
     if counts.max(initial=0) < _MIN_SUBSTITUTES:
         return result
-    before, number, after = values[:-2], values[1:-1], values[2:]
-    away, back = number - before, number - after
+    number = numbers[counts.argmax()]
+    others = np.flatnonzero(values != number)
+    place = np.searchsorted(others, np.arange(1, values.size - 1))
+    before, after = others[np.maximum(place - 1, 0)], others[np.minimum(place, others.size - 1)]
     # Between its neighbours, the number may be the value.
-    result |= (number == numbers[counts.argmax()]) & (away * back > 0.0)
+    is_beyond = (number - values[before]) * (number - values[after]) > 0.0
+    result |= (values[1:-1] == number) & is_beyond
     return result if result.mean() < _MAX_SPIKES * 2.0 else np.zeros(is_spike.size, bool)
 
 

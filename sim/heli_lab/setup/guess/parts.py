@@ -309,7 +309,9 @@ def _is_abrupt(angle_deg: Floats, span: tuple[int, int], step_s: float, encoder_
 
 
 def _held_voltages(flight: Flight, reference: Reference) -> list[Ambiguity]:
-    """Report a voltage that stands still in the air while the other one changes, as over a failed link."""
+    """Report a voltage that stands still in the air while the other one or pitch changes, as over a failed
+    link.
+    """
     volts = {"front": flight.front_V, "back": flight.back_V}
     changes = {motor: np.diff(values) for motor, values in volts.items()}
     elevation_deg = np.degrees(flight.elevation_rad)
@@ -343,8 +345,8 @@ def _held_voltages(flight: Flight, reference: Reference) -> list[Ambiguity]:
                     f"{volts[motor][start]:.2f} V, as logged from {flight.t_s[start]:.2f} to "
                     f"{flight.t_s[last]:.2f} s",
                     "unknown there",
-                    f"it changes before and after, and the {other} voltage all the time; if a link failed, "
-                    "leave these rows out with leave_out_s",
+                    f"it changes before and after, and the {other} voltage or pitch all the time; if a link "
+                    "failed, leave these rows out with leave_out_s",
                 )
             ]
     return []
@@ -353,12 +355,18 @@ def _held_voltages(flight: Flight, reference: Reference) -> list[Ambiguity]:
 def _changes_around(
     changes: Mapping[str, Floats], motor: str, other: str, span: tuple[int, int], flight: Flight
 ) -> bool:
-    """Whether a voltage changes as often as usual just before and after a part, and the other one within."""
+    """Whether a voltage changes as often as usual just before and after a part, and the other one or pitch
+    within.
+    """
     start, stop = span
     near = max(5, round(_NEAR_S / flight.step_s))
     before = changes[motor][max(start - 1 - near, 0) : max(start - 1, 0)]
     beside = (changes[motor], before), (changes[motor], changes[motor][stop : stop + near])
-    pairs = (*beside, (changes[other], changes[other][start : stop - 1]))
+    witness = changes[other]
+    if not witness[start : stop - 1].any():
+        # Both voltages may stand still; a controller would follow the motion.
+        witness = np.diff(flight.pitch_rad)
+    pairs = (*beside, (witness, witness[start : stop - 1]))
     return all(
         part.size > 0 and np.mean(part != 0.0) >= _CHANGING_SHARE * np.mean(whole != 0.0)
         for whole, part in pairs
