@@ -30,12 +30,13 @@ from heli_lab.fit.innovations import FlightErrors, InnovationsModel
 from heli_lab.fit.records import prepare
 from heli_lab.report.diagnosis.text import lines
 from heli_sim.model import MultibodyModel
-from heli_sim.model.effects import catalogue
+from heli_sim.model.effects import catalogue, parse_effects
 from heli_sim.rig import load_rig
 
 from tests.diagnose.hidden import WHOLE_S, flights, hovering
 from tests.diagnose.test_causes import diagnosed
 from tests.estimation.pendulum import RIG, flight_with_disturbances
+from tests.identify.made import flown_by_plan
 from tests.running.long import LONG
 
 pytestmark = pytest.mark.diagnosis
@@ -59,6 +60,21 @@ def test_parameters_that_a_hover_does_not_show_are_no_missing_effect_in_another_
     # As if the hover had shown them exactly, their error is structure.
     assert significant(hover, held_out, uncertain=False)
     assert not significant(hover, held_out, uncertain=True)
+
+
+@pytest.mark.slow
+def test_gusts_about_pitch_are_no_friction_near_rest() -> None:
+    """A count that repeats looks like a torque towards rest: 47 nats about pitch, and 48 about travel."""
+    model, rig = MultibodyModel(parse_effects(("random_torque.pitch",))), load_rig("makki2024")
+    fit, held_out = (prepare(flown_by_plan(rig, seed, model=model), rig, "x") for seed in (51, 52))
+    comparison = ModelComparison(MultibodyModel(), rig, [fit], [held_out])
+    baseline = comparison.refit(())
+    tested = dependences([Screening(baseline.estimate), held_out_screening(comparison, baseline)])
+    assert {d.what for d in tested if d.log_likelihood_gain > 40.0} == {
+        "torque.pitch on pitch_rate near rest",
+        "torque.travel on travel_rate near rest",
+    }
+    assert not any(dependence.is_significant for dependence in tested)
 
 
 def test_unlisted_effect_remains_significant_on_another_flight() -> None:

@@ -413,11 +413,17 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         if not candidate.dependence[0].startswith("measurement")
     ]
     functions = dependence_functions(linearised_flights)
-    tests = [_Test(" on ".join(spline.dependence), coefficient_std(spline), spline) for spline in splines]
+    rest_nats = _rest_nats(linearised_flights)
+    tests = [
+        _Test(name, coefficient_std(spline), spline, rest_nats.get(name, 0.0))
+        for spline in splines
+        for name in (" on ".join(spline.dependence),)
+    ]
     tests += [
-        _Test(f"torque.{axis} on {name}", np.full(curves[0].shape[1], std_Nm), curves)
-        for name, curves in functions.items()
+        _Test(name, np.full(curves[0].shape[1], std_Nm), curves, rest_nats.get(name, 0.0))
+        for quantity, curves in functions.items()
         for axis, std_Nm in zip(AXES, _TORQUE_STD_Nm, strict=True)
+        for name in (f"torque.{axis} on {quantity}",)
     ]
     # One list per set of flights, in the order of the tests.
     statistics_by_screening = []
@@ -443,6 +449,8 @@ class _Test(NamedTuple):
     name: str  # ``CHANNEL on QUANTITY``
     prior_std: Floats  # (g,): Prior standard deviations of its coefficients
     source: Candidate | list[Floats]  # (n, g): Spline term, or the curves of a torque in each flight
+    rest_nats: float
+    """Additional gain that it needs, because it may imitate an encoder that repeats its count [nats]."""
 
 
 def _dependence(
@@ -452,9 +460,7 @@ def _dependence(
     information = np.sum([of_set.information for of_set in statistics], axis=0)
     score = np.sum([of_set.score for of_set in statistics], axis=0)
     gain, coefficients, _ = score_of(information, score, test.prior_std)
-    is_near_rest = test.name.endswith("near rest") or _is_of_own_rate(test.name)
-    near_rest_nats = thresholds.NEAR_REST_NATS if is_near_rest else 0.0
-    result = Dependence(test.name, gain, penalty(len(test.prior_std)) + near_rest_nats)
+    result = Dependence(test.name, gain, penalty(len(test.prior_std)) + test.rest_nats)
     if not result.is_significant:
         return result
     return replace(result, change_counts=_change_counts(test, coefficients, screenings))
@@ -502,11 +508,23 @@ def _function_statistics(
     return result
 
 
-def _is_of_own_rate(dependence: str) -> bool:
-    """Whether a dependence is that of a torque about an axis on the rate of the same axis."""
-    # Such a curve may imitate a resting encoder, which repeats its count.
-    channel, _, quantity = dependence.partition(" on ")
-    return quantity == f"{channel.rpartition('.')[2]}_rate"
+def _rest_nats(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, float]:
+    """Return the additional gain that a dependence of a torque on a rate near rest, or on the rate of its own
+    axis, needs, by its name [nats].
+    """
+    rates = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
+    count_rad = linearised_flights[0].reference.record.resolution
+    result = {
+        f"torque.{axis} on {rate} near rest": thresholds.NEAR_REST_NATS for axis in AXES for rate in _RATES
+    }
+    for axis, axis_count_rad in zip(AXES, count_rad, strict=True):
+        name = f"{axis}_rate"
+        rest_rate = max(_REST_WIDTHS) * _scale([values[name] for values in rates]).std
+        is_resolved = rest_rate * BLOCK_s > thresholds.REST_COUNTS * axis_count_rad
+        result[f"torque.{axis} on {name}"] = thresholds.NEAR_REST_NATS
+        if not is_resolved:
+            result[f"torque.{axis} on {name} near rest"] = thresholds.UNRESOLVED_REST_NATS
+    return result
 
 
 def correlates(splines: Sequence[ScoredCandidate]) -> list[str]:
