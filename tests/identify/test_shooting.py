@@ -19,7 +19,7 @@ from heli_host.data.log.table import write_csv
 from heli_host.fly.plan import Plan
 from heli_lab.errors import NotExcited
 from heli_lab.fit.free_run import InterpretedKernel
-from heli_lab.fit.identification import Identification, check, identify, validate
+from heli_lab.fit.identification import Identification, check, first_rig_name, identify, validate
 from heli_lab.fit.problem import Budget, Problem, alternative_states, initial_state_guess
 from heli_lab.fit.records import prepare
 from heli_lab.fit.shooting import Iterate, ShootingCost, refine_states, restart_states, solve
@@ -126,6 +126,8 @@ def test_a_delay_and_a_lag_are_distinguished() -> None:
     assert result.fit.std["rotor_lag_s"] < 1e-3 and result.fit.std["input_delay_s"] < 1e-3
     assert result.json()["normalised_residual"]["train"] <= 1.03
     assert result.rig("new").effects["rotor_lag"]["s"].value == result.fit.params["rotor_lag_s"]
+    # A twin of the new rig is one of the machine that the first rig describes.
+    assert first_rig_name(result.rig("new")) == first_rig_name(result.fit.problem.rig) == "makki2024"
 
 
 def test_residuals_of_an_incomplete_model_are_large_and_not_white() -> None:

@@ -52,6 +52,9 @@ from heli_lab.fit.uncertainty import (
 )
 from heli_lab.fit.voltage_timing import sampled, slow_log_notes
 
+_IDENTIFIED: Final = " as identified from "
+"""Words between the names of the first rig and of the flights in the description of an identified rig."""
+
 
 @dataclass(frozen=True)
 class FreeRunErrors:
@@ -341,7 +344,7 @@ class Identification:
             origin = "not informed by" if quantity in uninformed else "identified from"
             source = f"{origin} {labels}; before: {prior_number.value:g} +- {prior_number.tolerance:g}"
             numbers[quantity] = Number(float(np.mean(values)), prior_number.unit, tolerance, source)
-        description = f"{fitted_rig.name} as identified from {labels}"
+        description = f"{fitted_rig.name}{_IDENTIFIED}{labels}"
         return Rig(name, description, numbers, self._effect_numbers(), self.fit.problem.model.name)
 
     def _estimates_by_quantity(self) -> dict[str, list[_ValueAndStd]]:
@@ -593,3 +596,11 @@ def _start_values(problem: Problem) -> dict[str, float] | None:
                 short_windows, budget=Budget(max_evaluations=_SHORT_WINDOW_EVALUATIONS), fine=False
             ).params
     return None
+
+
+def first_rig_name(rig: Rig) -> str:
+    """Return the name of the rig with which the identification of a rig began; its own name if it was not
+    identified.
+    """
+    first_name, marker, _ = rig.description.partition(_IDENTIFIED)
+    return first_name if marker else rig.name

@@ -184,11 +184,14 @@ def _fit_lines(twin_rig: TwinRig, reports: Sequence[TwinReport], false_alarm_int
 
 def _report_lines(report: TwinReport, twin_rig: TwinRig) -> list[str]:
     """Describe the result of a flight, with a warning if the flight is of another rig than the twin."""
+    from heli_lab.fit.identification import first_rig_name
+
+    rig = twin_rig.rig
     lines = [f"{report.label}: {sentence}" for sentence in report.sentences()]
-    if report.flown_rig not in ("", twin_rig.rig.name, Path(twin_rig.name).stem):
+    if report.flown_rig not in ("", rig.name, first_rig_name(rig), Path(twin_rig.name).stem):
         lines.append(
             f"{report.label} is a flight of rig {report.flown_rig}, "
-            f"but the twin is of rig {twin_rig.rig.name}; give the right one with --rig"
+            f"but the twin is of rig {rig.name}; give the right one with --rig"
         )
     return lines
 
