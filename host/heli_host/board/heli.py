@@ -302,7 +302,8 @@ class Heli:
         """Let the board run its pre-flight checks and enable the motor drivers, at 0 V.
 
         A board that was reset gets its last law again first. If pitch has changed since the connection, up to
-        2 s pass before that, to distinguish a drift from a rest.
+        2 s pass before that, to distinguish a drift from a rest. If an axis seems to move, the command is
+        repeated for half a second: a single count may look like a motion.
 
         Raises
         ------
