@@ -19,6 +19,8 @@ from heli_host.errors import HeliError, RigMismatch
 from heli_host.link.installation import plugins
 
 ENTRY_POINT_GROUP: Final = "heli_host.rig_parameters"
+GAINS_RIG: Final = "makki2024"
+"""Rig for which the declared gains were designed."""
 
 
 @dataclass(frozen=True)

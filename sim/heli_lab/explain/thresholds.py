@@ -224,9 +224,9 @@ axes that stick are missed, unless the catalogue has their friction."""
 REST_COUNTS: Final[Annotated[float, "counts", MEASUREMENT]] = 2.0
 UNRESOLVED_REST_NATS: Final[Annotated[float, "nats", MEASUREMENT]] = 120.0
 """Counts per measurement by which an axis must turn at the rates near rest for `NEAR_REST_NATS` to suffice,
-and the gain that is needed otherwise. In nine simulated flights without friction, in which an axis turned by
-0.8 to 0.9 counts, a count that repeats looked like a torque of 0.6 to 3 mN m towards rest, with 44 to 83 nats
-(2026-12). Lower: gusts about pitch are `unexplained`. Higher: as above."""
+and the gain that is needed otherwise. In nine simulated flights without friction, it was 0.8 to 0.9 counts.
+Counts that repeat then looked like a torque of 0.6 to 3 mN m towards rest, with 44 to 83 nats (2026-12).
+Lower: gusts about pitch are `unexplained`. Higher: as above."""
 
 KICK_STD_ERRORS: Final[Annotated[float, "standard errors", JUDGEMENT]] = 6.0
 """Impulse at one instant that is reported as a kick, in robust standard errors: by chance one of a hundred

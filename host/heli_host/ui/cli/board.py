@@ -86,9 +86,8 @@ def _say_migration(heli: Heli) -> None:
 def check_board_rig(heli: Heli, rig: str | None) -> None:
     """Compare the parameters of a board with the rig that it flies; print a warning for each difference."""
     from heli_host.board.parameters import spec_of
-    from heli_host.board.rig_check import check_rig, is_known_rig, rig_parameters
+    from heli_host.board.rig_check import GAINS_RIG, check_rig, is_known_rig, rig_parameters
     from heli_host.link.transport import transport_rig_parameters
-    from heli_host.ui.cli.options import DEFAULT_RIG
     from heli_host.ui.cli.say import say, say_progress
 
     expected = transport_rig_parameters(heli.session.transport)
@@ -105,9 +104,9 @@ def check_board_rig(heli: Heli, rig: str | None) -> None:
         fix = "" if simulated else f"; heli-host params set {difference.parameter} {difference.rig:g} --save"
         say(f"warning: {difference}{fix}")
     has_default_gains = math.isclose(heli.params["hover_V"], spec_of("hover_V").default, rel_tol=1e-6)
-    if simulated and has_default_gains and rig not in (None, DEFAULT_RIG):
+    if simulated and has_default_gains and rig not in (None, GAINS_RIG):
         say_progress(
-            f"note: the board's gains are for {DEFAULT_RIG}; heli-host tune --rig {rig} designs others"
+            f"note: the board's gains are for {GAINS_RIG}; heli-host tune --rig {rig} designs others"
         )
 
 
