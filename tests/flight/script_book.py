@@ -123,7 +123,7 @@ def line_under_load(notes: Notes, _laws: Any) -> None:
     """Samples and events of any size, commands and streams, while the transmitter takes little or nothing."""
     chance = notes.chance
     harness = core_link.Harness(2100, 512)
-    tick, sent, taken = 0, bytearray(), bytearray()
+    tick, sent, executed = 0, bytearray(), bytearray()
     harness.receive(
         encode_frame(d.MessageId.HELLO, 0, d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=7).pack())
     )
@@ -157,19 +157,19 @@ def line_under_load(notes: Notes, _laws: Any) -> None:
             request = harness.take_request()
             if request is not None:
                 message_id, payload = request
-                taken += bytes([message_id]) + payload
+                executed += bytes([message_id]) + payload
                 harness.answer(chance.choice((0, 0, 4)), k & 0xFF, 0.5 * k)
             for _ in range(chance.choice((1, 9))):
                 value = harness.take_stream()
                 if value is not None:
                     message_id, payload = value
-                    taken += bytes([message_id]) + payload
+                    executed += bytes([message_id]) + payload
         harness.publish(k)
         sent += harness.sent() + struct.pack("<I", harness.ticks_since_host_frame())
         tick = (tick + chance.choice((1, 1, 1, 1, 1, 1, 1, 1, 2))) & 0xFFFFFFFF
         if k % 250 == 249:
             notes.add("sent", bytes(sent))
-            notes.add("taken", bytes(taken))
+            notes.add("taken", bytes(executed))
     harness.room = 100_000
     harness.receive(encode_frame(d.MessageId.STATUS_READ, 9, d.StatusReadMessage(1).pack()))
     harness.poll()

@@ -190,8 +190,8 @@ def test_a_stated_share_of_the_supply_asks_for_the_supply() -> None:
     battery = {"battery [V]": Column(np.full(len(table), 12.0))}
     for supply_V in (5.0, 12.0):
         shares = scaled(table, {m: f"{m} [%]" for m in PAIR}, dict.fromkeys(PAIR, 100.0 / supply_V))
-        asked = subjects(proposed(replace(shares, columns={**shares.columns, **battery})))
-        assert ("the supply voltage" in asked) == (supply_V != 12.0)
+        questions = subjects(proposed(replace(shares, columns={**shares.columns, **battery})))
+        assert ("the supply voltage" in questions) == (supply_V != 12.0)
 
 
 @pytest.mark.medium

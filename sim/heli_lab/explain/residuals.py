@@ -520,7 +520,7 @@ def _rest_nats(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, floa
     for axis, axis_count_rad in zip(AXES, count_rad, strict=True):
         name = f"{axis}_rate"
         rest_rate = max(_REST_WIDTHS) * _scale([values[name] for values in rates]).std
-        is_resolved = rest_rate * BLOCK_s > thresholds.REST_COUNTS * axis_count_rad
+        is_resolved = rest_rate * BLOCK_s > thresholds.RESOLVED_REST_COUNTS * axis_count_rad
         result[f"torque.{axis} on {name}"] = thresholds.NEAR_REST_NATS
         if not is_resolved:
             result[f"torque.{axis} on {name} near rest"] = thresholds.UNRESOLVED_REST_NATS

@@ -221,7 +221,7 @@ term. The encoder of a resting axis repeats its count, which the filter takes fo
 nats in two of ten field cases without friction, 2026-11). Lower: disturbances become `unexplained`. Higher:
 axes that stick are missed, unless the catalogue has their friction."""
 
-REST_COUNTS: Final[Annotated[float, "counts", MEASUREMENT]] = 2.0
+RESOLVED_REST_COUNTS: Final[Annotated[float, "counts", MEASUREMENT]] = 2.0
 UNRESOLVED_REST_NATS: Final[Annotated[float, "nats", MEASUREMENT]] = 120.0
 """Counts per measurement by which an axis must turn at the rates near rest for `NEAR_REST_NATS` to suffice,
 and the gain that is needed otherwise. In nine simulated flights without friction, it was 0.8 to 0.9 counts.
