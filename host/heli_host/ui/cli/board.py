@@ -83,8 +83,10 @@ def _say_migration(heli: Heli) -> None:
         say_progress(f"warning: {migration_text(read_origin(heli.session))}")
 
 
-def check_board_rig(heli: Heli, rig: str | None) -> None:
-    """Compare the parameters of a board with the rig that it flies; print a warning for each difference."""
+def check_board_rig(heli: Heli, rig: str | None, *, blind: bool = False) -> None:
+    """Compare the parameters of a board with the rig that it flies; print a warning for each difference. A
+    note on the gains names a simulated rig, so a `blind` flight has none.
+    """
     from heli_host.board.parameters import spec_of
     from heli_host.board.rig_check import GAINS_RIG, check_rig, is_known_rig, rig_parameters
     from heli_host.link.transport import transport_rig_parameters
@@ -104,7 +106,7 @@ def check_board_rig(heli: Heli, rig: str | None) -> None:
         fix = "" if simulated else f"; heli-host params set {difference.parameter} {difference.rig:g} --save"
         say(f"warning: {difference}{fix}")
     has_default_gains = math.isclose(heli.params["hover_V"], spec_of("hover_V").default, rel_tol=1e-6)
-    if simulated and has_default_gains and rig not in (None, GAINS_RIG):
+    if simulated and has_default_gains and rig not in (None, GAINS_RIG) and not blind:
         say_progress(
             f"note: the board's gains are for {GAINS_RIG}; heli-host tune --rig {rig} designs others"
         )

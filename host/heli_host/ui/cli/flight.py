@@ -292,7 +292,7 @@ def _set_up_board(heli: Heli, options: FlightOptions, parameters: Mapping[str, f
     load_gains(heli.params, options.gains)
     if parameters:
         heli.params.restore(parameters)
-    check_board_rig(heli, options.rig)
+    check_board_rig(heli, options.rig, blind=bool(options.blind))
 
 
 def _setup_record(
