@@ -60,16 +60,17 @@ _REST_WIDTHS: Final = (0.05, 0.2)
 """Rates up to which an axis is nearly at rest, in standard deviations: there dry friction acts."""
 
 
-def dependence_functions(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, list[Floats]]:
-    """Return test functions along each flight, shape (n, s), by name."""
+def _dependence_functions(
+    quantities: Sequence[Mapping[str, Floats]], scales: Mapping[str, _Scale], step_s: float
+) -> dict[str, list[Floats]]:
+    """Test functions along each flight, shape (n, s), by name; `quantities` has the values (n,) of each
+    flight.
+    """
     # Each list has one entry per flight.
-    quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
-    scales = {name: _scale([values[name] for values in quantities]) for name in _PRODUCTS}
     standardised = [
         {name: (values[name] - scale.mean) / scale.std for name, scale in scales.items()}
         for values in quantities
     ]
-    step_s = linearised_flights[0].trajectory.step_s
     functions = {name: [values[name][:, None] for values in standardised] for name in _PRODUCTS}
     for first, second in itertools.combinations(_PRODUCTS, 2):
         products = [(values[first] * values[second])[:, None] for values in standardised]
@@ -412,18 +413,16 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
         if not candidate.dependence[0].startswith("measurement")
     ]
-    functions = dependence_functions(linearised_flights)
-    rest_nats = _rest_nats(linearised_flights)
-    tests = [
-        _Test(name, coefficient_std(spline), spline, rest_nats.get(name, 0.0))
-        for spline in splines
-        for name in (" on ".join(spline.dependence),)
-    ]
+    quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
+    scales = {name: _scale([values[name] for values in quantities]) for name in _PRODUCTS}
+    first_flight = linearised_flights[0]
+    functions = _dependence_functions(quantities, scales, first_flight.trajectory.step_s)
+    rest_nats = _rest_nats(scales, first_flight.reference.record.resolution)
+    tests = [_Test(" on ".join(spline.dependence), coefficient_std(spline), spline) for spline in splines]
     tests += [
-        _Test(name, np.full(curves[0].shape[1], std_Nm), curves, rest_nats.get(name, 0.0))
-        for quantity, curves in functions.items()
+        _Test(f"torque.{axis} on {name}", np.full(curves[0].shape[1], std_Nm), curves)
+        for name, curves in functions.items()
         for axis, std_Nm in zip(AXES, _TORQUE_STD_Nm, strict=True)
-        for name in (f"torque.{axis} on {quantity}",)
     ]
     # One list per set of flights, in the order of the tests.
     statistics_by_screening = []
@@ -437,7 +436,7 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
         )
         first = flights.stop
     result = [
-        _dependence(test, statistics, screenings)
+        _dependence(test, rest_nats.get(test.name, 0.0), statistics, screenings)
         for test, *statistics in zip(tests, *statistics_by_screening, strict=True)
     ]
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
@@ -449,18 +448,18 @@ class _Test(NamedTuple):
     name: str  # ``CHANNEL on QUANTITY``
     prior_std: Floats  # (g,): Prior standard deviations of its coefficients
     source: Candidate | list[Floats]  # (n, g): Spline term, or the curves of a torque in each flight
-    rest_nats: float
-    """Additional gain that it needs, because it may imitate an encoder that repeats its count [nats]."""
 
 
 def _dependence(
-    test: _Test, statistics: Sequence[ScoreStatistics], screenings: Sequence[Screening]
+    test: _Test, rest_nats: float, statistics: Sequence[ScoreStatistics], screenings: Sequence[Screening]
 ) -> Dependence:
-    """Carry out a test with one coefficient vector for all flights; `statistics` has one entry per set."""
+    """Carry out a test with one coefficient vector for all flights; `statistics` has one entry per set. It
+    needs `rest_nats` more gain, because it may imitate an encoder that repeats its count.
+    """
     information = np.sum([of_set.information for of_set in statistics], axis=0)
     score = np.sum([of_set.score for of_set in statistics], axis=0)
     gain, coefficients, _ = score_of(information, score, test.prior_std)
-    result = Dependence(test.name, gain, penalty(len(test.prior_std)) + test.rest_nats)
+    result = Dependence(test.name, gain, penalty(len(test.prior_std)) + rest_nats)
     if not result.is_significant:
         return result
     return replace(result, change_counts=_change_counts(test, coefficients, screenings))
@@ -508,18 +507,16 @@ def _function_statistics(
     return result
 
 
-def _rest_nats(linearised_flights: Sequence[LinearisedFlight]) -> dict[str, float]:
+def _rest_nats(scales: Mapping[str, _Scale], count_rad: Floats) -> dict[str, float]:
     """Return the additional gain that a dependence of a torque on a rate near rest, or on the rate of its own
-    axis, needs, by its name [nats].
+    axis, needs, by its name [nats]. Shapes: `count_rad` (3,).
     """
-    rates = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
-    count_rad = linearised_flights[0].reference.record.resolution
     result = {
         f"torque.{axis} on {rate} near rest": thresholds.NEAR_REST_NATS for axis in AXES for rate in _RATES
     }
     for axis, axis_count_rad in zip(AXES, count_rad, strict=True):
         name = f"{axis}_rate"
-        rest_rate = max(_REST_WIDTHS) * _scale([values[name] for values in rates]).std
+        rest_rate = max(_REST_WIDTHS) * scales[name].std
         is_resolved = rest_rate * BLOCK_s > thresholds.RESOLVED_REST_COUNTS * axis_count_rad
         result[f"torque.{axis} on {name}"] = thresholds.NEAR_REST_NATS
         if not is_resolved:
