@@ -12,7 +12,7 @@ from heli_host.data.flight import Flight
 from heli_lab.diagnose import Diagnosis, diagnose, summary, to_json
 from heli_lab.explain import verdict
 from heli_lab.explain.candidates import quantity_values
-from heli_lab.explain.comparison import ModelComparison
+from heli_lab.explain.comparison import Hypothesis, ModelComparison
 from heli_lab.explain.residuals import (
     Dependence,
     adjusted_p_values,
@@ -42,12 +42,16 @@ from tests.running.long import LONG
 pytestmark = pytest.mark.diagnosis
 
 
-def significant(fit: Flight, held_out: Flight, *, uncertain: bool) -> list[Dependence]:
-    """Test the baseline's residuals on the held-out flight, with or without the parameters' uncertainty."""
+def refitted_baseline(fit: Flight, held_out: Flight) -> tuple[ModelComparison, Hypothesis]:
     rig = load_rig("makki2024")
     records = [prepare(fit, rig, "fit")], [prepare(held_out, rig, "held out")]
     comparison = ModelComparison(MultibodyModel(), rig, *records)
-    baseline = comparison.refit(())
+    return comparison, comparison.refit(())
+
+
+def significant(fit: Flight, held_out: Flight, *, uncertain: bool) -> list[Dependence]:
+    """Test the baseline's residuals on the held-out flight, with or without the parameters' uncertainty."""
+    comparison, baseline = refitted_baseline(fit, held_out)
     if uncertain:
         screening = held_out_screening(comparison, baseline)
     else:
@@ -66,9 +70,7 @@ def test_parameters_that_a_hover_does_not_show_are_no_missing_effect_in_another_
 def test_gusts_about_pitch_are_no_friction_near_rest() -> None:
     """A count that repeats looks like a torque towards rest: 47 nats about pitch, and 48 about travel."""
     model, rig = MultibodyModel(parse_effects(("random_torque.pitch",))), load_rig("makki2024")
-    fit, held_out = (prepare(flown_by_plan(rig, seed, model=model), rig, "x") for seed in (51, 52))
-    comparison = ModelComparison(MultibodyModel(), rig, [fit], [held_out])
-    baseline = comparison.refit(())
+    comparison, baseline = refitted_baseline(*(flown_by_plan(rig, seed, model=model) for seed in (51, 52)))
     tested = dependences([Screening(baseline.estimate), held_out_screening(comparison, baseline)])
     assert {d.what for d in tested if d.log_likelihood_gain > 40.0} == {
         "torque.pitch on pitch_rate near rest",

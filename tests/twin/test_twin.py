@@ -154,20 +154,17 @@ excite = { signal = "multisine", front_V = 0.3, back_V = 0.3, start_Hz = 0.1, st
 """
 
 
-def fly_with_scale(folder: Path, encoder_scale: str) -> Path:
-    """Fly `EXCITED_PLAN` with a scale such as ``travel:0.5``; return the log."""
+def fly_excited(folder: Path, address: str) -> Path:
+    """Fly `EXCITED_PLAN` on a simulated board; return the log."""
     plan, log = folder / "short.toml", folder / "flight.mcap"
     plan.write_text(EXCITED_PLAN)
-    port = f"sil://?encoder_scale={encoder_scale}"
-    run(["fly", str(plan), "--log", str(log), "--port", port])
+    run(["fly", str(plan), "--log", str(log), "--port", address])
     return log
 
 
 @pytest.mark.slow
 def test_a_machine_whose_rotors_lag_is_not_this_model_and_no_change_of_it_is_named(tmp_path: Path) -> None:
-    plan, log = tmp_path / "short.toml", tmp_path / "flight.mcap"
-    plan.write_text(EXCITED_PLAN)
-    run(["fly", str(plan), "--log", str(log), "--port", "sil://?effect=rotor_lag%3D0.1&speed=max"])
+    log = fly_excited(tmp_path, "sil://?effect=rotor_lag%3D0.1&speed=max")
     report = monitor_file(open_rig("makki2024"), log, FALSE_ALARM_INTERVAL_h)
     assert not report.alarms
     (sentence,) = report.sentences()
@@ -176,7 +173,7 @@ def test_a_machine_whose_rotors_lag_is_not_this_model_and_no_change_of_it_is_nam
 
 @pytest.mark.slow
 def test_half_the_counts_of_travel_are_named(tmp_path: Path) -> None:
-    log = fly_with_scale(tmp_path, "travel:0.5")
+    log = fly_excited(tmp_path, "sil://?encoder_scale=travel:0.5")
     (alarm,) = monitor_file(open_rig("makki2024"), log, FALSE_ALARM_INTERVAL_h).alarms
     most_likely = alarm.ranking[0]
     assert most_likely.change.id == "encoder_scale.travel"

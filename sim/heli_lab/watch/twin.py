@@ -28,7 +28,7 @@ from heli_lab.watch.likelihood_ratio import (
 )
 from heli_lab.watch.model_check import ModelFit, PieceVariance, compare_with, piece_variance
 from heli_lab.watch.steps import FreeFlight, InputHistory, Samples, Step, Stepper, VoltageRange
-from heli_lab.watch.twin_model import ZEROS, TwinModel, start_state
+from heli_lab.watch.twin_model import SCALES, ZEROS, TwinModel, start_state
 
 DIAGNOSIS_DELAY_s: Final = 3.0
 """Time from the alarm to the final ranking of changes, s. Longer: the ranking is more certain but less
@@ -110,6 +110,15 @@ def _format_ranking(ranking: Sequence[ChangeCandidate], onset_s: float) -> str:
     else:
         second_text = f"{odds_text} more likely than the next change ({second.change.id})"
     return f"{first.change.words(first.size, first.std)} since {onset_s:.1f} s; {second_text}"
+
+
+def _is_wrong_decoder(difference: ChangeCandidate) -> bool:
+    """Whether a difference with which a flight begins is a wrong scale of an encoder that is named."""
+    # A take-off moves elevation only, and a lag of the rotors then looks like a scale of it: lags of 0.05 to
+    # 0.15 s like one of 1.8 to 2.2.
+    change = difference.change
+    is_named = change.is_scale and SCALES[change.parameters[0]] != "elevation"
+    return is_named and abs(difference.size) >= _MIN_SCALE_ERROR
 
 
 class Twin:
@@ -401,10 +410,7 @@ class Twin:
             return
         if alarm.is_early:
             most_likely = comparison.evidence.ratio.ranking(from_start=True)[0]
-            # A take-off moves elevation only, and a lag of the rotors then looks like a scale of it: lags of
-            # 0.05 to 0.15 s like one of 1.8 to 2.2.
-            is_named = most_likely.change.is_scale and most_likely.change.id != "encoder_scale.elevation"
-            if not is_named or abs(most_likely.size) < _MIN_SCALE_ERROR:
+            if not _is_wrong_decoder(most_likely):
                 evidence_text = f"the flight contradicts the rig by {comparison.evidence_nats:.0f} nats"
                 yield self._contradict(
                     comparison, t_s, f"{_NOT_THIS_MODEL}: {_IN_FIRST_SECONDS}{evidence_text}"
