@@ -11,6 +11,7 @@ import heli_host
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
+from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_host.data.tables import Angle, Column, Conversion, Profile, Table, Voltage, convert, read_table
 from heli_host.data.tables.rows import spikes, timed_rows
@@ -371,15 +372,21 @@ def test_a_link_that_freezes_is_left_out_although_no_angle_jumps(tmp_path: Path)
     assert actions(converted(tmp_path, lines(T_S, settled))) == set()
 
 
+@pytest.fixture(scope="module")
+def calm_hover(tmp_path_factory: pytest.TempPathFactory) -> Flight:
+    log = tmp_path_factory.mktemp("hover") / "hover.mcap"
+    plan = Plan.parse('title = "x"\n[[segment]]\nkind = "hold"\nduration_s = 20\n', "hover")
+    with heli_host.connect("sil://?speed=max") as heli:
+        heli.fly(plan, log=log)
+    return read_flight(log)
+
+
 @pytest.mark.medium
 @pytest.mark.parametrize("thinned", [1, 5, 20])
 def test_a_calm_hover_whose_counts_and_duties_stay_the_same_for_seconds_is_no_failed_link(
-    thinned: int, tmp_path: Path
+    thinned: int, calm_hover: Flight, tmp_path: Path
 ) -> None:
-    plan = Plan.parse('title = "x"\n[[segment]]\nkind = "hold"\nduration_s = 20\n', "hover")
-    with heli_host.connect("sil://?speed=max") as heli:
-        heli.fly(plan, log=tmp_path / "hover.mcap")
-    flight = read_flight(tmp_path / "hover.mcap")
+    flight = calm_hover
     values = np.column_stack((flight.voltages_V, np.degrees(flight.angles_rad)))[::thinned]
     conversion = converted(tmp_path, lines(flight.t_s[::thinned], values))
     assert not conversion.changes

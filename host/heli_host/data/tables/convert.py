@@ -446,8 +446,8 @@ def _frozen(motion: _Motion) -> Booleans:
         first, last = np.searchsorted(t_s, (t_s[start] - _STAND_S, t_s[stop - 1] + _STAND_S)).tolist()
         sides = slice(first, max(start - 1, first)), slice(stop, last)
         result[start + 1 : stop] = all(
-            _moves(step_rad[side]) and is_active(steps_V[side, motor], steps_V[:, motor])
-            for motor in range(volts.shape[1])
+            _moves(step_rad[side])
+            and all(is_active(part, whole) for part, whole in zip(steps_V[side].T, steps_V.T, strict=True))
             for side in sides
         )
     return result

@@ -64,27 +64,18 @@ PITCH_RELEASES: Final = (
     BenchTest("pitch released from 13 deg", 16, "(a)", (True, False, True), pitch_deg=13.0),
     BenchTest("pitch released from 8.8 deg", 16, "(b)", (True, False, True), pitch_deg=8.8),
 )
-ELEVATION_STEPS: Final = (
+ELEVATION_STEPS: Final = tuple(
     BenchTest(
-        "elevation, 1.5 V each",
+        f"elevation, {each_V} V each",
         17,
-        "(a)",
+        panel,
         (False, True, True),
         elevation_deg=TABLE_DEG,
-        front_V=1.5,
-        back_V=1.5,
+        front_V=each_V,
+        back_V=each_V,
         duration_s=30.0,
-    ),
-    BenchTest(
-        "elevation, 1.7 V each",
-        17,
-        "(b)",
-        (False, True, True),
-        elevation_deg=TABLE_DEG,
-        front_V=1.7,
-        back_V=1.7,
-        duration_s=30.0,
-    ),
+    )
+    for panel, each_V in (("(a)", 1.5), ("(b)", 1.7))
 )
 TRAVEL_STEPS: Final = (
     BenchTest(
