@@ -91,7 +91,7 @@ def renamed(table: Table, **names: str) -> Table:
 
 
 def proposed(table: Table) -> Guess:
-    return propose([table], RIG)[0]
+    return propose([table], RIG).guess
 
 
 def columns_of(guess: Guess) -> dict[str, str]:
@@ -389,7 +389,7 @@ def test_a_sum_that_follows_the_rate_of_elevation_is_no_copy_of_it(gain: float) 
 def test_a_known_column_keeps_its_role_against_its_name(tmp_path: Path) -> None:
     path = tmp_path / "known.toml"
     path.write_text('[front]\ncolumn = "back"\n[back]\ncolumn = "front"\n')
-    guess, _ = propose([flight_table()], RIG, known=read_known(path))
+    guess = propose([flight_table()], RIG, known=read_known(path)).guess
     assert {guess.profile.voltages[role].column for role in ("front", "back")} == {"front", "back"}
     assert guess.profile.voltages["front"].column == "back"
 

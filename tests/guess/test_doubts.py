@@ -17,11 +17,13 @@ from heli_lab.setup.guess.motion import (
     Assignment,
     Reference,
     RegressionFit,
+    VoltageLimits,
     lag_ambiguities,
     pooled_fits,
     reference_of,
 )
 from heli_lab.setup.guess.names import AXES
+from heli_lab.setup.guess.propose import ProposedGuess
 from heli_lab.setup.guess.result import NOTHING_KNOWN, read_known
 from heli_lab.setup.guess.signs import SignChanges, fewest_sign_changes, prefers_mirror, travel_torque_nats
 from heli_lab.setup.guess.units import RestElevation, elevation_zero, limited, one_way_nats
@@ -46,7 +48,7 @@ def fits(elevation_s: float, range_s: tuple[float, float], pitch_s: float = 0.1)
 
 
 def subjects(regressions: dict[str, RegressionFit]) -> list[str]:
-    return [ambiguity.subject for ambiguity in lag_ambiguities(regressions)[0]]
+    return [ambiguity.subject for ambiguity in lag_ambiguities(regressions)]
 
 
 def test_a_short_delay_of_elevation_is_doubted_if_the_motion_excludes_the_lag_of_pitch() -> None:
@@ -71,14 +73,14 @@ def test_a_rest_beyond_the_tolerance_of_the_table_is_doubted() -> None:
 
 
 def test_a_doubt_of_a_weakly_excited_elevation_names_the_possible_delays() -> None:
-    (ambiguity,), _ = lag_ambiguities(fits(0.22, (0.06, 0.40)))
+    (ambiguity,) = lag_ambiguities(fits(0.22, (0.06, 0.40)))
     assert ambiguity.alternative == "0.12 s later than pitch (-0.04 to 0.30 s are possible)"
-    (ambiguity,), _ = lag_ambiguities(fits(0.24, (0.22, 0.26)))
+    (ambiguity,) = lag_ambiguities(fits(0.24, (0.22, 0.26)))
     assert ambiguity.alternative == "0.14 s later than pitch"
 
 
 def test_voltages_that_act_without_any_lag_were_logged_late() -> None:
-    (ambiguity,), _ = lag_ambiguities(fits(0.0, (0.0, 0.0), pitch_s=0.0))
+    (ambiguity,) = lag_ambiguities(fits(0.0, (0.0, 0.0), pitch_s=0.0))
     assert ambiguity.alternative == "late by about 0.10 s relative to the angles"
     assert "as only a simulation without rotor lag does" in ambiguity.reason
     assert subjects(fits(0.04, (0.04, 0.04), pitch_s=0.04)) == []
@@ -147,11 +149,11 @@ def test_commands_below_zero_keep_the_limit_of_the_supply() -> None:
 
 
 def test_the_better_explained_axes_decide_whether_motors_reverse() -> None:
-    def regress(limits: tuple[float, float]) -> Mapping[str, RegressionFit]:
-        nats = 30.0 if limits[0] == 0.0 else 20.0
+    def regress(limits: VoltageLimits) -> Mapping[str, RegressionFit]:
+        nats = 30.0 if limits.low == 0.0 else 20.0
         return {"elevation": RegressionFit(nats, 1.0), "pitch": RegressionFit(2.0 * nats, 1.0)}
 
-    assert one_way_nats(regress, (-5.0, 5.0)) == 30.0
+    assert one_way_nats(regress, VoltageLimits(-5.0, 5.0)) == 30.0
 
 
 @pytest.mark.medium
@@ -221,13 +223,14 @@ OTHER = replace(PROFILE, mirrored=True)
 def patch_proposals(
     monkeypatch: pytest.MonkeyPatch, nats: dict[str, float], profiles: dict[str, Profile]
 ) -> None:
-    def propose(tables: list[Table], rig: Rig, *_: object) -> tuple[Guess, list[Table]]:
-        return Guess(profiles.get(rig.name, PROFILE), (), (), log_likelihood=nats[rig.name]), tables
+    def propose(tables: list[Table], rig: Rig, *_: object) -> ProposedGuess:
+        guess = Guess(profiles.get(rig.name, PROFILE), (), (), log_likelihood=nats[rig.name])
+        return ProposedGuess(guess, tables)
 
     monkeypatch.setattr("heli_lab.setup.guess.propose.propose", propose)
     monkeypatch.setattr(
         "heli_lab.setup.guess.propose.check_by_simulation",
-        lambda guessed, tables, _rig: [guessed for _ in tables],
+        lambda proposal, _rig: [proposal.guess for _ in proposal.longest_parts],
     )
 
 

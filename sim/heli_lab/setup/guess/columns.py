@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -121,7 +121,7 @@ def prepare_file(
     table: Table, reference: Reference, rate_Hz: float | None, known: KnownEntries = NOTHING_KNOWN
 ) -> PreparedFile:
     """Find the times of an aligned table, repair its rows, cut its longest part, and filter its columns."""
-    clock = Clock("", "s", True) if rate_Hz else _clock_of(table, known)
+    clock = Clock("", "s", sure=True) if rate_Hz else _clock_of(table, known)
     uncertain_s = 0.0
     if rate_Hz:
         t_s = table.even_times(rate_Hz)
@@ -164,7 +164,7 @@ def _clock_of(table: Table, known: KnownEntries) -> Clock:
     column = stated.get("column")
     if column in table.columns:
         unit = stated.get("unit") or (clock.unit if clock.column == column else "s")
-        return Clock(str(column), str(unit), True)
+        return Clock(str(column), str(unit), sure=True)
     if not clock.column or not clock.unit:
         unread = next((name for name in table.unread if is_time(name)), None)
         if unread is not None:
@@ -276,7 +276,7 @@ def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> Column
     """Find the columns that may have each role, by their names and by what the user knows."""
     first = files[0]
     meanings = meanings_of({name: first.table.columns[name].unit for name in first.signals.raw})
-    named, free, left_out = _sorted_by_meaning(files, known, meanings)
+    named, unnamed, left_out = _sorted_by_meaning(files, known, meanings)
     left_out |= {name: f"not numbers, such as '{cell}'" for name, cell in first.table.unread.items()}
     left_out |= dict.fromkeys(first.too_sparse, "too few numbers")
     unnamed_axes = [axis for axis in AXES if not named[axis]]
@@ -286,15 +286,16 @@ def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> Column
     has_voltages = _keep_motors_or_sums(named, left_out)
     if unnamed_axes or not has_voltages:
         named_columns = [name for names in named.values() for name in names]
-        free = _without_rates(first, free, named_columns, meanings, left_out)
-    motors = [name for name in free if meanings[name].possible_roles == VOLTAGE_ROLES]
+        unnamed, redundant = _without_rates(first, unnamed, named_columns, meanings)
+        left_out |= redundant
+    motors = [name for name in unnamed if meanings[name].possible_roles == VOLTAGE_ROLES]
     names_no_voltage = not any(named[role] for role in VOLTAGE_ROLES)
     by_role: dict[str, list[str]] = {}
     for role in ROLES:
         if named[role]:
             by_role[role] = named[role]
             continue
-        possible = [name for name in free if role in meanings[name].possible_roles]
+        possible = [name for name in unnamed if role in meanings[name].possible_roles]
         if role in AXES:
             # A name states which column is this angle, although it does not move.
             by_role[role] = [] if role in _constant_angles(left_out) else possible + spare
@@ -317,16 +318,22 @@ def _partners(role: str) -> tuple[str, str]:
     return PAIR if role in PAIR else SUMS
 
 
+class _SortedColumns(NamedTuple):
+    """Columns of a table by what their names state."""
+
+    named: dict[str, list[str]]  # Columns to which a name or the user gives a role, by role
+    unnamed: list[str]  # Columns whose name states no role
+    left_out: dict[str, str]  # Reasons of the other columns, by name
+
+
 def _sorted_by_meaning(
     files: Sequence[PreparedFile], known: KnownEntries, meanings: Mapping[str, ColumnMeaning]
-) -> tuple[dict[str, list[str]], list[str], dict[str, str]]:
-    """Sort the columns: those that a name or the user gives each role, those whose name states nothing, and
-    those that are left out, with the reason.
-    """
+) -> _SortedColumns:
+    """Sort the columns by what their names state; columns that carry no information are left out."""
     first = files[0]
     known_roles = set(known.columns.values())
     named: dict[str, list[str]] = {role: [] for role in ROLES}
-    free: list[str] = []
+    unnamed: list[str] = []
     left_out: dict[str, str] = {}
     for name, meaning in meanings.items():
         if name in known.columns:
@@ -344,12 +351,12 @@ def _sorted_by_meaning(
         elif meaning.role:
             named[meaning.role].append(name)
         else:
-            free.append(name)
+            unnamed.append(name)
     for role, columns in named.items():
         columns.sort(key=lambda name: (not meanings[name].is_measured, name not in first.encoders))
         measured = [name for name in columns if meanings[name].is_measured]
         named[role] = _without_copies(first, role, columns, measured, left_out)
-    return named, free, left_out
+    return _SortedColumns(named, unnamed, left_out)
 
 
 def _counts_rows(values: Floats) -> bool:
@@ -361,7 +368,9 @@ def _counts_rows(values: Floats) -> bool:
 
 
 def _keep_motors_or_sums(named: dict[str, list[str]], left_out: dict[str, str]) -> bool:
-    """Whether names state both voltages. If they state the motors and their sums, the motors are kept."""
+    """Whether names state both voltages. If they state the motors and their sums, the sums are moved from
+    `named` to `left_out`.
+    """
     if all(named[role] for role in PAIR):
         for role in SUMS:
             left_out |= dict.fromkeys(named[role], "the motors have columns too")
@@ -378,7 +387,9 @@ def _keep_motors_or_sums(named: dict[str, list[str]], left_out: dict[str, str]) 
 def _without_copies(
     file: PreparedFile, role: str, columns: list[str], measured: list[str], left_out: dict[str, str]
 ) -> list[str]:
-    """Leave out the columns of one role that are copies of its first one, or not measured if others are."""
+    """Return the columns of one role without copies of its first one, and without those that are not measured
+    if others are; the reasons are added to `left_out`.
+    """
     signals = file.signals
     kept: list[str] = []
     for name in columns:
@@ -398,29 +409,26 @@ def _without_copies(
 
 
 def _without_rates(
-    file: PreparedFile,
-    free: list[str],
-    named: list[str],
-    meanings: Mapping[str, ColumnMeaning],
-    left_out: dict[str, str],
-) -> list[str]:
-    """Leave out the columns without names that are rates or copies of others, and those beyond a limit."""
-    signals = file.signals
-    rates = _rates(signals, [*named, *free], set(named) | file.encoders)
-    left_out |= {name: f"the rate of {angle}" for name, angle in rates.items()}
+    file: PreparedFile, unnamed: list[str], named: list[str], meanings: Mapping[str, ColumnMeaning]
+) -> tuple[list[str], dict[str, str]]:
+    """Return the columns without names that are no rates or copies of others, up to a limit; and the reasons
+    to leave out the rest of them.
+    """
+    signals, columns = file.signals, [*named, *unnamed]
+    rates = _rates(signals, columns, set(named) | file.encoders)
+    left_out = {name: f"the rate of {angle}" for name, angle in rates.items()}
+    motors = {name for name in unnamed if meanings[name].possible_roles == VOLTAGE_ROLES}
 
-    def resembles_rate(name: str) -> bool:
-        """Whether a column is about the rate of another one. Under state feedback, so is its copy, the sum of
-        the voltages, but with another slope.
+    def rank(name: str) -> tuple[bool, bool, bool]:
+        """Motors first, then encoders. Last are columns that are about the rate of another one: under state
+        feedback, so is the sum of the voltages, but with another slope.
         """
-        return any(_rate_correlation(signals, name, other) > FEEDBACK_MATCH**0.5 for other in (*named, *free))
+        correlations = (_rate_correlation(signals, name, other) for other in columns)
+        resembles_rate = any(correlation > FEEDBACK_MATCH**0.5 for correlation in correlations)
+        return name not in motors, name not in file.encoders, resembles_rate
 
-    motors = {name for name in free if meanings[name].possible_roles == VOLTAGE_ROLES}
     kept: list[str] = []
-    for name in sorted(
-        (name for name in free if name not in rates),
-        key=lambda name: (name not in motors, name not in file.encoders, resembles_rate(name)),
-    ):
+    for name in sorted((name for name in unnamed if name not in rates), key=rank):
         # Two motors may get the same voltage, and a column in volts stands for no angle.
         roles = set(meanings[name].possible_roles)
         others = [
@@ -429,27 +437,39 @@ def _without_rates(
             if not {name, other} <= motors and roles.intersection(meanings[other].possible_roles)
         ]
         copied = next((other for other in others if _are_copies(signals, name, other)), None)
-        lags_s = {
-            other: _filter_lag_s(signals, name, other)
-            for other in others
-            if name not in motors and not _share_limit(file.table, name, other)
-        }
-        origin = next((other for other, lag_s in lags_s.items() if lag_s is not None), None)
+        origin = None if name in motors else _filter_origin(file, name, others)
         if copied is not None:
             left_out[name] = f"the same as {copied}"
         elif origin is None:
             kept.append(name)
-        elif (lags_s[origin] or 0.0) < 0.0 and origin in named:
-            # An axis follows it, so it may be a setpoint: a third angle and voltages are checked for that.
+        elif origin.is_behind and origin.column in named:
+            # A named axis follows this column, which may be a setpoint: third angle and voltages are checked
+            # for that later.
             kept.append(name)
-        elif (lags_s[origin] or 0.0) < 0.0 and origin not in file.encoders:
-            # The copy came first: the origin is ahead of it.
-            kept[kept.index(origin)] = name
-            left_out[origin] = f"a filtered copy of {name}"
+        elif origin.is_behind and origin.column not in file.encoders:
+            # The copy was kept first: this column replaces it.
+            kept[kept.index(origin.column)] = name
+            left_out[origin.column] = f"a filtered copy of {name}"
         else:
-            left_out[name] = f"a filtered copy of {origin}"
+            left_out[name] = f"a filtered copy of {origin.column}"
     left_out |= dict.fromkeys(kept[_MAX_COLUMNS:], f"behind the first {_MAX_COLUMNS} columns")
-    return kept[:_MAX_COLUMNS]
+    return kept[:_MAX_COLUMNS], left_out
+
+
+class _FilterOrigin(NamedTuple):
+    """A column that another one resembles through a filter."""
+
+    column: str
+    is_behind: bool  # Whether this column lags, so that it is the copy itself
+
+
+def _filter_origin(file: PreparedFile, name: str, others: Sequence[str]) -> _FilterOrigin | None:
+    """Find the first of some `others` of which a column is a filtered copy, or which is a copy of it."""
+    for other in others:
+        lag_s = None if _share_limit(file.table, name, other) else _filter_lag_s(file.signals, name, other)
+        if lag_s is not None:
+            return _FilterOrigin(other, is_behind=lag_s < 0.0)
+    return None
 
 
 def _are_copies(signals: Signals, name: str, other: str) -> bool:
@@ -461,10 +481,10 @@ def _share_limit(table: Table, name: str, other: str) -> bool:
     """Whether two columns often have the same largest value, as motors in a flight that hardly pitches. A
     filtered copy reaches the limits of its origin seldom.
     """
-    limits = [table.columns[each].values for each in (name, other)]
-    largest = [float(np.nanmax(values)) for values in limits]
-    at_limit = [float(np.mean(values == largest[0])) for values in limits]
-    return largest[0] == largest[1] and min(at_limit) > _LIMITED_SHARE
+    columns = [table.columns[each].values for each in (name, other)]
+    limit, other_limit = (float(np.nanmax(values)) for values in columns)
+    shares_at_limit = [float(np.mean(values == limit)) for values in columns]
+    return limit == other_limit and min(shares_at_limit) > _LIMITED_SHARE
 
 
 def _differ_by_gain(file: PreparedFile, role: str, name: str, other: str) -> bool:
@@ -563,16 +583,16 @@ class _MotionEvidence:
 
     def _computed_nats(self, axis: str, cause: tuple[str, ...], column: str) -> float:
         signals = self._file.signals
-        values = [signals.filtered[name].value for name in cause]
-        lifting = [self.polarity(name) * value for name, value in zip(cause, values, strict=True)]
+        lifting = [self.polarity(name) * signals.filtered[name].value for name in cause]
         if axis == "elevation":
             signal: Floats = np.sum(lifting, axis=0)
         elif len(cause) == 2:
-            signal = lifting[0] - lifting[1]
+            first, second = lifting
+            signal = first - second
         else:
-            # A logged difference has no polarity: its mean is near 0.
-            signal = values[0]
-        stiffness = self._reference.stiffness.get(axis, (0.0, 0.1))
+            # A logged difference has no polarity, because its mean is near 0; neither has pitch.
+            signal = signals.filtered[cause[0]].value
+        stiffness = self._reference.stiffness[axis]
         nats = max(
             regress_acceleration(signals, column, axis, delay(signal, lag_s), stiffness).log_likelihood_ratio
             for lag_s in (_ROLE_LAGS_S if axis != "travel" else (0.0,))
@@ -597,6 +617,7 @@ def ranked_assignments(
     for roles in (PAIR, SUMS):
         for first, second in _voltage_columns(options, roles):
             both = (first, second)
+            # Each motor drives both axes; a logged sum and a logged difference drive one axis each.
             sum_cause, difference_cause = (both, both) if roles == PAIR else ((first,), (second,))
             elevations = sorted(
                 (name for name in options.by_role["elevation"] if name not in both),
@@ -607,11 +628,12 @@ def ranked_assignments(
             for pitch, travel in itertools.product(options.by_role["pitch"], options.by_role["travel"]):
                 if len({first, second, pitch, travel}) < 4:
                     continue
-                others = nats("pitch", difference_cause, pitch) + nats("travel", (pitch,), travel)
+                nats_of_others = nats("pitch", difference_cause, pitch) + nats("travel", (pitch,), travel)
+                # The runner-up shows how sure the choice of elevation is; further ones would show nothing.
                 for elevation in [name for name in elevations if name not in (pitch, travel)][:2]:
                     columns = dict(zip((*AXES, *roles), (elevation, pitch, travel, *both), strict=True))
-                    likelihood = others + nats("elevation", sum_cause, elevation)
-                    ranked.append(Assignment(columns, polarity, likelihood))
+                    log_likelihood = nats_of_others + nats("elevation", sum_cause, elevation)
+                    ranked.append(Assignment(columns, polarity, log_likelihood))
     return sorted(ranked, key=lambda assignment: -assignment.log_likelihood)
 
 

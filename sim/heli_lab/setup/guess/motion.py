@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
@@ -20,8 +20,6 @@ from heli_lab.setup.guess.names import AXES, SUMS
 from heli_lab.setup.guess.result import DECISIVE_NATS, Ambiguity
 from heli_lab.setup.guess.signals import SAMPLE_STEP_s, Signal, Signals, delay, filtered_signal, lagged
 
-NO_LIMITS: Final = (-math.inf, math.inf)
-"""Limits of the voltages if no command is beyond what the amplifier gives."""
 _MIN_STIFFNESS_STD: Final = 1.0
 """Smallest standard deviation of a stiffness [1/s^2]. Measured rigs have a pitch stiffness of -0.3 to -1.4,
 and their rig files state 0."""
@@ -32,9 +30,8 @@ _DECIMATION: Final = 10
 _INDEPENDENT_SAMPLES_Hz: Final = 1.0
 """Independent samples per second in filtered residuals. A third of what the filter's bandwidth gives, because
 model errors are slow. Set by judgement: a higher value overstates every certainty."""
-_LAGS_S: Final = (-0.24, 0.5, 0.02)
-"""Lags between cause and acceleration that are compared: first, end, step [s]. Rotors lag by 0.05 to 0.2
-s."""
+_LAGS_s: Final = tuple(round(0.02 * number, 2) for number in range(-12, 25))
+"""Lags between cause and acceleration that are compared [s]. Rotors lag by 0.05 to 0.2 s."""
 REST_DURATION_S: Final = 0.2
 """A flight begins on its table if it rests this long at its lowest elevation [s]. Measured flights are logged
 from full voltage on, and rise after 0.2 s."""
@@ -73,12 +70,32 @@ _TYPICAL_LAG_s: Final = 0.1
 """Lag of an ordinary rotor, for the message how late or early the voltages are [s]."""
 
 
+class Normal(NamedTuple):
+    """Mean and standard deviation of a quantity."""
+
+    mean: float
+    std: float
+
+
+ZERO: Final = Normal(0.0, 0.0)
+
+
+class VoltageLimits(NamedTuple):
+    """Smallest and largest voltage of a motor, in the unit of its column."""
+
+    low: float
+    high: float
+
+
+NO_LIMITS: Final = VoltageLimits(-math.inf, math.inf)
+"""Limits of the voltages if no command is beyond what the amplifier gives."""
+
+
 @dataclass(frozen=True)
 class Reference:
     """Gains and stiffnesses of a rig, linearised at hover."""
 
-    stiffness: Mapping[str, tuple[float, float]]
-    """By axis, elevation and pitch: acceleration per deflection, mean and standard deviation [1/s^2]."""
+    stiffness: Mapping[str, Normal]  # By axis: acceleration per deflection [1/s^2]
     gain: Mapping[str, float]
     """By axis: elevation acceleration per sum of the voltages and pitch acceleration per their difference
     [rad/s^2/V], travel acceleration per pitch [1/s^2]."""
@@ -89,19 +106,15 @@ class Reference:
     supply_V: float  # Largest voltage of a motor [V]
     supply_column: str = ""  # Column with the supply voltage, of which `supply_V` is the mean; may be empty
     reverses: bool = False  # Whether a rotor gives thrust at reversed voltage
-    travel_rad_s2: tuple[float, float] = (0.0, 0.0)
-    """Constant acceleration of travel at level pitch, and its standard deviation; 0 if the rig has none."""
+    travel_rad_s2: Normal = ZERO
+    """Constant acceleration of travel at level pitch; 0 if the rig has no torque about travel."""
     pitch_zero_deg: float = 3.0  # Error of the pitch zero that the rig file allows [deg]
-    level_pitch_deg: tuple[float, float] = (0.0, 0.0)
-    """Pitch at which travel is steady, and its standard deviation by the tolerance of the torque."""
+    level_pitch_deg: Normal = ZERO
+    """Pitch at which travel is steady; its standard deviation is that of the torque about travel."""
 
 
 def reference_of(rig: Rig) -> Reference:
-    """Linearise the baseline model of a rig at hover.
-
-    Rows and columns of the matrices: elevation, pitch and travel are the states 0 to 2, their rates 3 to 5;
-    the inputs are the front and the back voltage.
-    """
+    """Linearise the baseline model of a rig at hover."""
     model = MultibodyModel()
     try:
         hover = trim(model, rig)
@@ -110,24 +123,30 @@ def reference_of(rig: Rig) -> Reference:
             f"units cannot be checked with rig {rig.name}: {error.cause}", error.remedy
         ) from error
     linear = derivatives(model, rig, hover.state, hover.volts_V)
+    # The states are the three angles, then their rates. These are the derivatives of the accelerations.
+    by_angle, by_rate, by_voltage = linear.A[3:, :3], linear.A[3:, 3:], linear.B[3:]
+    elevation, pitch, travel = range(3)
+    travel_by_pitch = float(by_angle[travel, pitch])
     torque, friction = rig["torque_travel"], rig["friction_travel"].value
-    # Acceleration per torque, 1 / inertia: A[5, 5] is minus friction over inertia.
-    inverse_inertia = float(-linear.A[5, 5]) / friction if friction > 0.0 else 0.0
-    per_torque = inverse_inertia if torque.value else 0.0
-    torque_deg = math.degrees(inverse_inertia / float(linear.A[5, 1]))
+    # Friction brakes travel by minus friction over inertia.
+    inverse_inertia = float(-by_rate[travel, travel]) / friction if friction > 0.0 else 0.0
+    pitch_deg_per_Nm = math.degrees(inverse_inertia / travel_by_pitch)
     # An error of the pitch zero also accelerates travel. Its whole tolerance is one standard deviation here,
     # because programs set the zero wherever the short arm hangs; otherwise the tolerance is two.
-    zero_error_rad_s2 = float(linear.A[5, 1]) * np.radians(rig["offset_pitch"].tolerance)
-    std_rad_s2 = float(np.hypot(per_torque * 0.5 * torque.tolerance, zero_error_rad_s2))
-    mean_stiffness = {"elevation": float(linear.A[3, 0]), "pitch": float(linear.A[4, 1])}
+    zero_error_rad_s2 = travel_by_pitch * np.radians(rig["offset_pitch"].tolerance)
+    std_rad_s2 = float(np.hypot(inverse_inertia * 0.5 * torque.tolerance, zero_error_rad_s2))
+    has_torque = bool(inverse_inertia and torque.value)
+    means = {"elevation": float(by_angle[elevation, elevation]), "pitch": float(by_angle[pitch, pitch])}
+    stiffness = {axis: Normal(mean, max(_MIN_STIFFNESS_STD, 0.5 * abs(mean))) for axis, mean in means.items()}
+    # No torque depends on the travel angle: the regressions get no deflection, and any deviation will do.
+    stiffness["travel"] = Normal(0.0, 0.1)
+    front_gain, back_gain = by_voltage[pitch]
     return Reference(
-        stiffness={
-            axis: (mean, max(_MIN_STIFFNESS_STD, 0.5 * abs(mean))) for axis, mean in mean_stiffness.items()
-        },
+        stiffness=stiffness,
         gain={
-            "elevation": float(np.mean(linear.B[3])),
-            "pitch": float(0.5 * (linear.B[4, 0] - linear.B[4, 1])),
-            "travel": float(linear.A[5, 1]),
+            "elevation": float(np.mean(by_voltage[elevation])),
+            "pitch": float(0.5 * (front_gain - back_gain)),
+            "travel": travel_by_pitch,
         },
         hover_V=float(hover.volts_V.sum()),
         rest_deg=rig["elevation_min"].value,
@@ -135,9 +154,11 @@ def reference_of(rig: Rig) -> Reference:
         counts=dict(zip(AXES, counts_per_turn(rig).tolist(), strict=True)),
         supply_V=rig["supply"].value,
         reverses=rig["reverse_thrust"].value != 0.0,
-        travel_rad_s2=(per_torque * torque.value, std_rad_s2) if per_torque else (0.0, 0.0),
+        travel_rad_s2=Normal(inverse_inertia * torque.value, std_rad_s2) if has_torque else ZERO,
         pitch_zero_deg=max(_MIN_PITCH_ZERO_DEG, rig["offset_pitch"].tolerance),
-        level_pitch_deg=(-torque_deg * torque.value, abs(torque_deg) * 0.5 * torque.tolerance),
+        level_pitch_deg=Normal(
+            -pitch_deg_per_Nm * torque.value, abs(pitch_deg_per_Nm) * 0.5 * torque.tolerance
+        ),
     )
 
 
@@ -186,39 +207,47 @@ class RegressionFit:
     """Log-likelihood without a rotor lag minus log-likelihood with the best lag [nats]; 0 if not computed."""
 
 
+class _AxisMotion(NamedTuple):
+    """Motion of an axis, shape (n,) each: its deflection from the mean angle, and its derivatives."""
+
+    deflection: Floats
+    rate: Floats
+    acceleration: Floats
+
+
+def _axis_motion(axis: str, angle: Floats, rate: Floats, acceleration: Floats) -> _AxisMotion:
+    """Return the motion of an axis; travel gets no deflection, because no torque depends on its angle."""
+    return _AxisMotion(angle * 0.0 if axis == "travel" else angle - angle.mean(), rate, acceleration)
+
+
 def regress_acceleration(
-    signals: Signals, column: str, axis: str, cause: Floats, stiffness: tuple[float, float]
+    signals: Signals, column: str, axis: str, cause: Floats, stiffness: Normal
 ) -> RegressionFit:
     """Regress the acceleration of a column, as the angle of an axis, on a cause. Shapes: `cause` (n,)."""
     angle = signals.filtered[column]
     rows = free_rows(signals, column) if axis == "elevation" else signals.inner
-    # No torque depends on the travel angle.
-    deflection = angle.value * 0.0 if axis == "travel" else angle.value - angle.value.mean()
-    return _ridge_regression(angle.acceleration, (deflection, angle.rate), cause, stiffness, rows)
+    motion = _axis_motion(axis, angle.value, angle.rate, angle.acceleration)
+    return _ridge_regression(motion, cause, stiffness, rows)
 
 
-def _ridge_regression(
-    acceleration: Floats,
-    axis_terms: tuple[Floats, Floats],
-    cause: Floats,
-    stiffness: tuple[float, float],
-    rows: Booleans,
-) -> RegressionFit:
-    """Ridge regression of an acceleration on a cause, with stiffness, damping and a constant. Shapes:
-    `acceleration` (n,), `axis_terms` (n,), `cause` (n,), `rows` (n,).
+def _ridge_regression(motion: _AxisMotion, cause: Floats, stiffness: Normal, rows: Booleans) -> RegressionFit:
+    """Fit acceleration = stiffness deflection + damping rate + constant + gain cause, with normal priors of
+    stiffness and damping, to some `rows`. Shapes: `cause` (n,), `rows` (n,).
     """
-    deflection, rate, response, regressor = (
-        signal[rows][::_DECIMATION] for signal in (*axis_terms, acceleration, cause)
-    )
-    y = response - stiffness[0] * deflection
+    deflection, rate, acceleration, regressor = (signal[rows][::_DECIMATION] for signal in (*motion, cause))
+    # The prior mean of the stiffness is subtracted, so that all priors have the mean 0.
+    y = acceleration - stiffness.mean * deflection
     if len(y) < _MIN_REGRESSION_ROWS:
         return RegressionFit(0.0, 0.0)
     columns = np.column_stack([deflection, rate, np.ones(len(y)), regressor])
+    without_cause, with_cause = 3, 4
     # Columns of unit deviation keep the normal equations well conditioned; the constant column has none.
     scale = np.maximum(columns.std(axis=0), 1e-12)
-    scale[2] = 1.0
+    constant_column, cause_column = 2, 3
+    scale[constant_column] = 1.0
     columns = columns / scale
-    prior_std = np.array([stiffness[1], 1.0, np.inf, np.inf]) * scale
+    damping_std = 1.0
+    prior_std = np.array([stiffness.std, damping_std, np.inf, np.inf]) * scale
     # A file may need thousands of these regressions, so each builds its normal equations only once.
     normal_matrix, right_side, sum_of_squares = columns.T @ columns, columns.T @ y, float(y @ y)
     noise_variance = float(y.var())
@@ -232,9 +261,9 @@ def _ridge_regression(
 
     # The penalty depends on the variance of the noise, which only the residuals give.
     for _ in range(3):
-        _, variance_without_cause = solve(3)
-        solution, variance_with_cause = solve(4)
-        gain = float(solution[-1] / scale[3])
+        _, variance_without_cause = solve(without_cause)
+        solution, variance_with_cause = solve(with_cause)
+        gain = float(solution[cause_column] / scale[cause_column])
         noise_variance = max(variance_with_cause, 1e-12 * float(y.var()) + 1e-300)
     independent_samples = len(y) * _DECIMATION * SAMPLE_STEP_s * _INDEPENDENT_SAMPLES_Hz
     log_ratio = float(np.log(max(variance_without_cause, 1e-300) / max(variance_with_cause, 1e-300)))
@@ -262,7 +291,7 @@ def sum_and_difference(
     signals: Signals,
     assignment: Assignment,
     bias: float = 0.0,
-    limits: tuple[float, float] = NO_LIMITS,
+    limits: VoltageLimits = NO_LIMITS,
 ) -> tuple[Floats, Floats]:
     """Compute the sum and the difference of the voltages that the motors received, shape (n,) each."""
     first, second = (
@@ -283,7 +312,7 @@ def axis_regressions(
     reference: Reference,
     rad: Mapping[str, float] | None = None,
     bias: float = 0.0,
-    limits: tuple[float, float] = NO_LIMITS,
+    limits: VoltageLimits = NO_LIMITS,
 ) -> dict[str, RegressionFit]:
     """Regress each axis' acceleration on its cause, at the lag with the highest likelihood.
 
@@ -316,15 +345,13 @@ def axis_regressions(
 def _fit_at_best_lag(
     signals: Signals, column: str, axis: str, cause: Floats, reference: Reference
 ) -> RegressionFit:
-    """Regress the acceleration of an axis on its cause at each lag of `_LAGS_S`; return the most likely fit.
+    """Regress the acceleration of an axis on its cause at each lag of `_LAGS_s`; return the most likely fit.
     Shapes: `cause` (n,).
     """
-    stiffness = reference.stiffness.get(axis, (0.0, 0.1))
+    stiffness = reference.stiffness[axis]
     fits = [
-        replace(
-            regress_acceleration(signals, column, axis, delay(cause, lag_s), stiffness), lag_s=float(lag_s)
-        )
-        for lag_s in np.round(np.arange(*_LAGS_S), 3) + 0.0
+        replace(regress_acceleration(signals, column, axis, delay(cause, lag_s), stiffness), lag_s=lag_s)
+        for lag_s in _LAGS_s
     ]
     best = max(fits, key=lambda fit: fit.log_likelihood_ratio)
     possible_s = [
@@ -337,7 +364,7 @@ def rate_nats(
     signals: Signals,
     assignment: Assignment,
     reference: Reference,
-    limits: tuple[float, float] = NO_LIMITS,
+    limits: VoltageLimits = NO_LIMITS,
 ) -> dict[str, float]:
     """Compare, by axis, a column that is the rate of its axis with one that is the angle [nats].
 
@@ -348,26 +375,23 @@ def rate_nats(
     causes = {"elevation": total, "pitch": difference, "travel": signals.raw[assignment.columns["pitch"]]}
     result = {}
     for axis, cause in causes.items():
-        column, filtered = assignment.columns[axis], filtered_signal(cause).value
-        stiffness = reference.stiffness.get(axis, (0.0, 0.1))
-        rate = signals.filtered[column]
-        angle = np.cumsum(rate.value) * SAMPLE_STEP_s
-        # No torque depends on the travel angle.
-        deflection = angle * 0.0 if axis == "travel" else angle - angle.mean()
-        as_rate = max(
-            _ridge_regression(
-                rate.rate, (deflection, rate.value), delay(filtered, lag_s), stiffness, signals.inner
-            ).log_likelihood_ratio
-            for lag_s in np.arange(*_LAGS_S)
-        )
-        as_angle = _fit_at_best_lag(signals, column, axis, filtered, reference).log_likelihood_ratio
-        result[axis] = as_rate - as_angle
+        column, low_passed = assignment.columns[axis], filtered_signal(cause).value
+        logged, stiffness = signals.filtered[column], reference.stiffness[axis]
+        # If the column is a rate, its integral is the angle, and its derivative the acceleration.
+        motion = _axis_motion(axis, np.cumsum(logged.value) * SAMPLE_STEP_s, logged.value, logged.rate)
+        rate_fits = [
+            _ridge_regression(motion, delay(low_passed, lag_s), stiffness, signals.inner) for lag_s in _LAGS_s
+        ]
+        nats_as_rate = max(fit.log_likelihood_ratio for fit in rate_fits)
+        angle_fit = _fit_at_best_lag(signals, column, axis, low_passed, reference)
+        result[axis] = nats_as_rate - angle_fit.log_likelihood_ratio
     return result
 
 
 def _responds_without_lag(lag_s: float) -> bool:
     """Whether pitch follows the voltages after a lag, `lag_s` [s], that only rotors without a lag have."""
-    return 0.0 <= round(lag_s, 3) < _PLAUSIBLE_LAGS_S[0]
+    shortest_s, _ = _PLAUSIBLE_LAGS_S
+    return 0.0 <= round(lag_s, 3) < shortest_s
 
 
 def _no_rotor_lag_nats(signals: Signals, column: str, difference: Floats, reference: Reference) -> float:
@@ -378,24 +402,23 @@ def _no_rotor_lag_nats(signals: Signals, column: str, difference: Floats, refere
     delay in both cases. But lagging rotors also smooth the voltages, which distinguishes the two.
     """
     pitch = filtered_signal(signals.raw[column], _ROTOR_LAG_CUTOFF_Hz)
-    axis_terms = (pitch.value - pitch.value.mean(), pitch.rate)
-    stiffness = reference.stiffness.get("pitch", (0.0, 0.1))
+    motion = _axis_motion("pitch", pitch.value, pitch.rate, pitch.acceleration)
 
     def highest_nats(voltage: Floats, delays_s: Floats) -> float:
         """Evidence that this voltage drives pitch, at the best of several delays [nats]."""
         cause = filtered_signal(voltage, _ROTOR_LAG_CUTOFF_Hz).value
-        return max(
-            _ridge_regression(
-                pitch.acceleration, axis_terms, delay(cause, delay_s), stiffness, signals.inner
-            ).log_likelihood_ratio
+        fits = [
+            _ridge_regression(motion, delay(cause, delay_s), reference.stiffness["pitch"], signals.inner)
             for delay_s in delays_s
-        )
+        ]
+        return max(fit.log_likelihood_ratio for fit in fits)
 
-    with_lag = max(
+    # Voltages that were logged too late act before their rows: with negative delays.
+    nats_with_lag = max(
         highest_nats(lagged(difference, lag_s), np.arange(-1.6 * lag_s, 0.0, SAMPLE_STEP_s))
         for lag_s in _ROTOR_LAGS_s
     )
-    return highest_nats(difference, np.zeros(1)) - with_lag
+    return highest_nats(difference, np.zeros(1)) - nats_with_lag
 
 
 def pooled_fits(fits_by_file: Sequence[Mapping[str, RegressionFit]]) -> dict[str, RegressionFit]:
@@ -406,28 +429,41 @@ def pooled_fits(fits_by_file: Sequence[Mapping[str, RegressionFit]]) -> dict[str
     pooled = {}
     for axis in AXES:
         fits = [fits_of_file[axis] for fits_of_file in fits_by_file]
-        nats = sum(fit.log_likelihood_ratio * np.sign(fit.gain) for fit in fits)
+        # Positive if the files together show a positive gain.
+        signed_nats = float(sum(fit.log_likelihood_ratio * np.sign(fit.gain) for fit in fits))
         strongest = max(fits, key=lambda fit: fit.log_likelihood_ratio)
         weights = np.array([max(fit.log_likelihood_ratio, 1e-6) for fit in fits])
-        lag_s = float(np.average([fit.lag_s for fit in fits], weights=weights))
         shortest_s, longest_s = np.average([fit.lag_range_s for fit in fits], axis=0, weights=weights)
-        gain = abs(strongest.gain) * (1.0 if nats >= 0.0 else -1.0)
-        lag_range_s = float(shortest_s), float(longest_s)
-        no_rotor_lag_nats = sum(fit.no_rotor_lag_nats for fit in fits)
-        pooled[axis] = RegressionFit(abs(float(nats)), gain, lag_s, lag_range_s, no_rotor_lag_nats)
+        pooled[axis] = RegressionFit(
+            abs(signed_nats),
+            gain=abs(strongest.gain) * (1.0 if signed_nats >= 0.0 else -1.0),
+            lag_s=float(np.average([fit.lag_s for fit in fits], weights=weights)),
+            lag_range_s=(float(shortest_s), float(longest_s)),
+            no_rotor_lag_nats=sum(fit.no_rotor_lag_nats for fit in fits),
+        )
     return pooled
 
 
-def travel_equation(
-    signals: Signals, assignment: Assignment, rad: Mapping[str, float]
-) -> tuple[Floats, Floats]:
-    """Regress the acceleration of travel on a constant, its rate, and the horizontal part of the thrust.
+class LeastSquaresFit(NamedTuple):
+    """Coefficients of a constant and of p causes, shape (1 + p,), and their covariance."""
 
-    Returns the three coefficients in the unit of travel, shape (3,), and their covariance, shape (3, 3).
+    coefficients: Floats
+    covariance: Floats
+
+    @property
+    def constant(self) -> float:
+        """Coefficient of the constant, which comes first."""
+        return float(self.coefficients[0])
+
+
+def travel_equation(signals: Signals, assignment: Assignment, rad: Mapping[str, float]) -> LeastSquaresFit:
+    """Regress the acceleration of travel on a constant, its rate, and the horizontal part of the thrust; the
+    coefficients are in the unit of travel.
     """
     travel, pitch = (signals.filtered[assignment.columns[axis]] for axis in ("travel", "pitch"))
     rows = free_rows(signals, assignment.columns["elevation"])
-    total = filtered_signal(sum_and_difference(signals, assignment)[0]).value
+    voltage_sum, _ = sum_and_difference(signals, assignment)
+    total = filtered_signal(voltage_sum).value
     mean = float(total[rows].mean()) if rows.any() else 0.0
     has_bias = mean > 0.5 * float(total.std())
     relative_thrust = np.clip(total / mean, 0.0, 2.0) if has_bias else np.ones(total.size)
@@ -436,49 +472,61 @@ def travel_equation(
     )
 
 
+class SteadyPitch(NamedTuple):
+    """Pitch at which travel does not accelerate, and pitch that equal voltages hold [deg]."""
+
+    by_travel: Normal
+    by_voltages: Normal
+
+
 def steady_pitch_deg(
     signals: Signals, assignment: Assignment, rad: Mapping[str, float], lag_s: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Estimate the pitch at which travel does not accelerate, and the pitch that equal voltages hold, which
-    drive pitch after a lag; each with its standard deviation [deg], and with the sign of the column.
+) -> SteadyPitch:
+    """Estimate the pitch at which nothing accelerates [deg], with the sign of the column; the voltages drive
+    pitch after a lag.
 
     A wrong zero moves both angles alike. A torque about travel moves only the angle that travel shows, and
     unequal rotors only the angle that the voltages hold, which is uncertain if the body has no pendulum.
     """
     pitch = signals.filtered[assignment.columns["pitch"]]
-    difference = filtered_signal(sum_and_difference(signals, assignment)[1]).value
+    _, difference = sum_and_difference(signals, assignment)
+    cause = delay(filtered_signal(difference).value, lag_s)
     rows = free_rows(signals, assignment.columns["elevation"])
-    by_voltages = _least_squares(
-        pitch.acceleration, (delay(difference, lag_s), pitch.rate, np.sin(rad["pitch"] * pitch.value)), rows
+    pitch_equation = _least_squares(
+        pitch.acceleration, (cause, pitch.rate, np.sin(rad["pitch"] * pitch.value)), rows
     )
-    by_travel = travel_equation(signals, assignment, rad)
-    return _balance_deg(*by_travel), _balance_deg(*by_voltages)
+    return SteadyPitch(
+        by_travel=_balance_deg(travel_equation(signals, assignment, rad)),
+        by_voltages=_balance_deg(pitch_equation),
+    )
 
 
-def _least_squares(response: Floats, causes: Sequence[Floats], rows: Booleans) -> tuple[Floats, Floats]:
-    """Regress a response on a constant and on causes; return the coefficients and their covariance.
-
-    Shapes: `response` (n,), `causes` (n,), `rows` (n,).
+def _least_squares(response: Floats, causes: Sequence[Floats], rows: Booleans) -> LeastSquaresFit:
+    """Regress a response on a constant and on causes. Shapes: `response` (n,), `causes` (n,), `rows`
+    (n,).
     """
     regressors = np.column_stack((np.ones(response.size), *causes))[rows]
     solution, *_ = np.linalg.lstsq(regressors, response[rows], rcond=None)
     variance = float(np.mean((response[rows] - regressors @ solution) ** 2)) if rows.any() else 0.0
-    # Filtered rows depend on each other.
+    # Filtered rows depend on each other: each row counts for less than one independent sample.
     per_row = variance / (SAMPLE_STEP_s * _INDEPENDENT_SAMPLES_Hz)
-    return np.asarray(solution, np.float64), per_row * np.linalg.pinv(regressors.T @ regressors)
+    covariance = per_row * np.linalg.pinv(regressors.T @ regressors)
+    return LeastSquaresFit(np.asarray(solution, np.float64), covariance)
 
 
-def _balance_deg(solution: Floats, covariance: Floats) -> tuple[float, float]:
-    """Return the angle whose sine balances the constant, by the last coefficient, with its standard deviation
-    [deg]; without such a coefficient, the deviation is infinite.
+def _balance_deg(fit: LeastSquaresFit) -> Normal:
+    """Return the angle whose sine, times the last coefficient, balances the constant [deg]; without such a
+    coefficient, its standard deviation is infinite.
     """
-    constant, gain = float(solution[0]), float(solution[-1])
+    constant, gain = fit.constant, float(fit.coefficients[-1])
     if not gain:
-        return 0.0, math.inf
-    gradient = np.zeros(solution.size)
+        return Normal(0.0, math.inf)
+    # The sine is -constant / gain; these are its derivatives by the two coefficients.
+    gradient = np.zeros(fit.coefficients.size)
     gradient[0], gradient[-1] = -1.0 / gain, constant / gain**2
-    std = math.sqrt(max(float(gradient @ covariance @ gradient), 0.0))
-    return math.degrees(math.asin(float(np.clip(-constant / gain, -1.0, 1.0)))), math.degrees(std)
+    std = math.sqrt(max(float(gradient @ fit.covariance @ gradient), 0.0))
+    angle_rad = math.asin(float(np.clip(-constant / gain, -1.0, 1.0)))
+    return Normal(math.degrees(angle_rad), math.degrees(std))
 
 
 def abs_correlation(first: Floats, second: Floats) -> float:
@@ -511,59 +559,74 @@ def feedback_sign(voltage_sum: Floats, angle: Signal, signals: Signals) -> float
     return float(np.sign(np.corrcoef(voltage_sum, angle.rate)[0, 1]))
 
 
-def lag_ambiguities(regressions: Mapping[str, RegressionFit]) -> tuple[list[Ambiguity], str]:
-    """List implausible delays between the columns as ambiguities; return them with a sentence on all delays.
+def lag_ambiguities(regressions: Mapping[str, RegressionFit]) -> list[Ambiguity]:
+    """Report implausible delays between the columns.
 
     The guess removes no delay by itself, because a flight cannot separate a rotor lag from a late column.
     """
     elevation, pitch, travel = (regressions[axis] for axis in AXES)
-    ambiguities = []
-    if abs(travel.lag_s) > _MAX_TRAVEL_LAG_S:
-        ambiguities.append(
-            Ambiguity(
-                "travel's time",
-                "not late",
-                f"{travel.lag_s:.2f} s late{_range_words(travel)}",
-                "it follows pitch at another time than a rig can; check how it is logged, and set delay_s",
-            )
-        )
-    apart_s = elevation.lag_s - pitch.lag_s
-    is_decisively_late = elevation.lag_range_s[0] > pitch.lag_s
-    if abs(apart_s) > (_MAX_DECISIVE_LAG_S if is_decisively_late else _MAX_LAG_DIFFERENCE_S):
-        ambiguities.append(
-            Ambiguity(
-                "elevation's time",
-                "logged with pitch",
-                f"{abs(apart_s):.2f} s {'later' if apart_s > 0.0 else 'earlier'} than pitch"
-                f"{_range_words(elevation, pitch.lag_s)}",
-                "the same rotors drive both, but a flight cannot separate their lag from a delay of the log; "
-                "set delay_s only if your logger delays elevation",
-            )
-        )
-    shortest_s, longest_s = _PLAUSIBLE_LAGS_S
-    without_lag = _responds_without_lag(pitch.lag_s)
-    is_certain = without_lag and pitch.no_rotor_lag_nats >= DECISIVE_NATS
-    if not shortest_s <= pitch.lag_s <= longest_s and not is_certain:
-        reason = (
-            "pitch responds without a lag, as only a simulation without rotor lag does"
-            if without_lag
-            else "no rotor responds with such a lag"
-        )
-        ambiguities.append(
-            Ambiguity(
-                "the voltages' time",
-                "logged with the angles",
-                f"{'late' if pitch.lag_s < shortest_s else 'early'} by about "
-                f"{abs(pitch.lag_s - _TYPICAL_LAG_s):.2f} s relative to the angles",
-                f"{reason}; check how they are logged, and set delay_s",
-            )
-        )
-    sentence = (
+    return [*_late_travel(travel), *_late_elevation(elevation, pitch), *_late_voltages(pitch)]
+
+
+def lag_sentence(regressions: Mapping[str, RegressionFit]) -> str:
+    """Describe all delays between the columns in one sentence."""
+    elevation, pitch, travel = (regressions[axis] for axis in AXES)
+    return (
         f"pitch follows the voltages after {pitch.lag_s:.2f} s, elevation after {elevation.lag_s:.2f} s "
         "(rotor lag, transport and logging delay; a flight cannot separate them); travel follows pitch "
         f"after {travel.lag_s:.2f} s"
     )
-    return ambiguities, sentence
+
+
+def _late_travel(travel: RegressionFit) -> list[Ambiguity]:
+    """Report travel if it follows pitch too late or too early."""
+    if abs(travel.lag_s) <= _MAX_TRAVEL_LAG_S:
+        return []
+    alternative = f"{travel.lag_s:.2f} s late{_range_words(travel)}"
+    reason = "it follows pitch at another time than a rig can; check how it is logged, and set delay_s"
+    return [Ambiguity("travel's time", "not late", alternative, reason)]
+
+
+def _late_elevation(elevation: RegressionFit, pitch: RegressionFit) -> list[Ambiguity]:
+    """Report elevation if it follows the voltages much later or earlier than pitch."""
+    later_s = elevation.lag_s - pitch.lag_s
+    shortest_s, _ = elevation.lag_range_s
+    is_decisively_late = shortest_s > pitch.lag_s
+    if abs(later_s) <= (_MAX_DECISIVE_LAG_S if is_decisively_late else _MAX_LAG_DIFFERENCE_S):
+        return []
+    return [
+        Ambiguity(
+            "elevation's time",
+            "logged with pitch",
+            f"{abs(later_s):.2f} s {'later' if later_s > 0.0 else 'earlier'} than pitch"
+            f"{_range_words(elevation, pitch.lag_s)}",
+            "the same rotors drive both, but a flight cannot separate their lag from a delay of the log; "
+            "set delay_s only if your logger delays elevation",
+        )
+    ]
+
+
+def _late_voltages(pitch: RegressionFit) -> list[Ambiguity]:
+    """Report voltages that pitch follows with a lag that no rotor has."""
+    shortest_s, longest_s = _PLAUSIBLE_LAGS_S
+    without_lag = _responds_without_lag(pitch.lag_s)
+    is_certain = without_lag and pitch.no_rotor_lag_nats >= DECISIVE_NATS
+    if shortest_s <= pitch.lag_s <= longest_s or is_certain:
+        return []
+    reason = (
+        "pitch responds without a lag, as only a simulation without rotor lag does"
+        if without_lag
+        else "no rotor responds with such a lag"
+    )
+    return [
+        Ambiguity(
+            "the voltages' time",
+            "logged with the angles",
+            f"{'late' if pitch.lag_s < shortest_s else 'early'} by about "
+            f"{abs(pitch.lag_s - _TYPICAL_LAG_s):.2f} s relative to the angles",
+            f"{reason}; check how they are logged, and set delay_s",
+        )
+    ]
 
 
 def _range_words(fit: RegressionFit, origin_s: float = 0.0) -> str:

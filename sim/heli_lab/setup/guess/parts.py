@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
@@ -40,6 +40,8 @@ _HELD_INTERVALS: Final = 5.0
 _MAX_INTERVAL_S: Final = 0.1
 """Shortest time for which a voltage is held by a failed link [s], also as a multiple of the usual interval
 between its changes. A voltage that changes less often is a signal of steps."""
+_MIN_INTERVALS: Final = 10
+"""Smallest number of these intervals. A voltage with fewer is that of steps."""
 _LIMIT_SHARE: Final = 0.3
 """Share of this time from which on a voltage is held at other times, too, so that it is a limit."""
 _VOLTAGE_JUMP: Final = 2.0
@@ -58,9 +60,15 @@ _FLAT_S: Final = 0.3
 _FLAT_STEPS: Final = 4.0
 """Motion just before and after this time, in steps of the encoder. An arm that turns round slows down first:
 it moves by 1.3 steps."""
+_FINEST_STEP_deg: Final = 0.02
+"""Smallest step of an encoder for this comparison [deg]; angles that are not quantised have the step 0."""
 _JUMP_ACCELERATIONS: Final = 5.0
 _JUMP_DEG: Final = 1.5
 """Smallest jump of an angle, as a multiple of the 99 % quantile of its second differences, and in degrees."""
+_JUMP_ROWS: Final = 5
+_STAYING_SHARE: Final = 0.6
+"""Rows before and after a jump whose medians are compared, and the share of the jump by which they differ at
+least: after a single wrong value, the angle returns."""
 _BLOCK_ROWS: Final = 100
 _STEP_RATIO: Final = 1.5
 _EVEN_RATIO: Final = 1.3
@@ -122,21 +130,21 @@ def _changed_rate(table: Table, profile: Profile) -> list[Ambiguity]:
     blocks = steps_s[: steps_s.size // _BLOCK_ROWS * _BLOCK_ROWS].reshape(-1, _BLOCK_ROWS)
     if len(blocks) < 2 or not (steps_s > 0.0).all():
         return []
-    low, middle, high = np.quantile(blocks, (0.1, 0.5, 0.9), axis=1)
-    usual_s = float(np.median(middle))
-    is_other = (np.maximum(middle, usual_s) > _STEP_RATIO * np.minimum(middle, usual_s)) & (
-        high < _EVEN_RATIO * low
-    )
-    for start, stop in runs_of(is_other):
+    # Short, typical and long steps of each block.
+    low_s, median_s, high_s = np.quantile(blocks, (0.1, 0.5, 0.9), axis=1)
+    typical_s = float(np.median(median_s))
+    has_other_step = np.maximum(median_s, typical_s) > _STEP_RATIO * np.minimum(median_s, typical_s)
+    is_even = high_s < _EVEN_RATIO * low_s
+    for start, stop in runs_of(has_other_step & is_even):
         first, last = start * _BLOCK_ROWS, stop * _BLOCK_ROWS
         if t_s[last] - t_s[first] < _CHANGED_S:
             continue
-        step_s = float(np.median(middle[start:stop]))
+        step_s = float(np.median(median_s[start:stop]))
         return [
             Ambiguity(
                 "the rate of the clock",
                 f"'{profile.time}' as it is, with steps of {step_s:.4g} s from {t_s[first]:.1f} to "
-                f"{t_s[last]:.1f} s, and of {usual_s:.4g} s elsewhere",
+                f"{t_s[last]:.1f} s, and of {typical_s:.4g} s elsewhere",
                 "the same step everywhere",
                 "either rows are missing there, or the clock runs at another rate; look up the step of your "
                 "logger, and add --rate if it never changes",
@@ -171,36 +179,49 @@ def _changed_motion(flights: Sequence[Flight], reference: Reference, rig: Rig) -
     parts = [part for flight in flights for part in _parts_of(flight) if part.duration_s > 0.5 * _PART_S]
     if len(parts) < 2:
         return []
-    fits = [_regressions(part, reference) for part in parts]
-    opposite = [(part, sign_suspects(fit, _SIGN_NATS)) for part, fit in zip(parts, fits, strict=True) if fit]
-    opposite = [(part, suspects) for part, suspects in opposite if suspects]
-    if len(opposite) == 1:
-        # Feedback without excitation shows the opposite sign now and then.
-        opposite = [(part, confirmed_by_simulation(suspects, part, rig)) for part, suspects in opposite]
-        opposite = [(part, suspects) for part, suspects in opposite if suspects]
-    result = []
-    if opposite and len(opposite) < len(parts):
-        part, suspects = opposite[0]
-        result.append(
-            Ambiguity(
-                "the signs in parts of the file",
-                "as proposed",
-                f"{' and '.join(suspects[0].inverted_axes)} with the opposite sign from "
-                f"{_span_text(part)}{_more_text(len(opposite) - 1)}",
-                f"there, {suspects[0].description}; look up what changed within the file, and leave the part "
-                "out with leave_out_s",
-            )
-        )
+    fitted = [_FittedPart(part, _regressions(part, reference)) for part in parts]
+    result = _changed_signs(fitted, rig)
     for axis in AXES:
         steps = [(part, step) for part in parts if (step := quantisation_step(getattr(part, f"{axis}_rad")))]
         gains = [
-            (part, abs(fit[axis].gain))
-            for part, fit in zip(parts, fits, strict=True)
-            if fit and fit[axis].log_likelihood_ratio > DECISIVE_NATS
+            (part, abs(fits[axis].gain))
+            for part, fits in fitted
+            if fits and fits[axis].log_likelihood_ratio > DECISIVE_NATS
         ]
         by_steps = _changed_unit(axis, steps, _STEPS_RATIO, "moves in steps that are {} as large")
         result += by_steps or _changed_unit(axis, gains, _UNIT_RATIO, "responds {} as strongly")
     return result
+
+
+class _FittedPart(NamedTuple):
+    """A part of a flight, and the regressions of its axes; empty if a column is constant."""
+
+    part: Flight
+    fits: dict[str, RegressionFit]
+
+
+def _changed_signs(fitted: Sequence[_FittedPart], rig: Rig) -> list[Ambiguity]:
+    """Report the parts in which an axis moves against its cause, if it does not in all of them."""
+    suspects_by_part = [(part, sign_suspects(fits, _SIGN_NATS)) for part, fits in fitted if fits]
+    opposite = [(part, suspects) for part, suspects in suspects_by_part if suspects]
+    if len(opposite) == 1:
+        # Feedback without excitation shows the opposite sign now and then.
+        ((part, suspects),) = opposite
+        confirmed = confirmed_by_simulation(suspects, part, rig)
+        opposite = [(part, confirmed)] if confirmed else []
+    if not opposite or len(opposite) == len(fitted):
+        return []
+    part, (suspect, *_) = opposite[0]
+    return [
+        Ambiguity(
+            "the signs in parts of the file",
+            "as proposed",
+            f"{' and '.join(suspect.inverted_axes)} with the opposite sign from "
+            f"{_span_text(part)}{_more_text(len(opposite) - 1)}",
+            f"there, {suspect.description}; look up what changed within the file, and leave the part out "
+            "with leave_out_s",
+        )
+    ]
 
 
 def _changed_unit(
@@ -241,14 +262,17 @@ def _jumps(flight: Flight) -> list[Ambiguity]:
     result = []
     for axis in AXES:
         angle_deg = np.degrees(getattr(flight, f"{axis}_rad"))
-        second = np.diff(angle_deg, 2)
-        size = np.abs(second)
-        limit_deg = max(_JUMP_DEG, _JUMP_ACCELERATIONS * float(np.quantile(size, 0.99)))
-        is_jump = (np.minimum(size[:-1], size[1:]) > limit_deg) & (second[:-1] * second[1:] < 0.0)
+        # A jump gives two large second differences of opposite sign, one at either side.
+        bends_deg = np.diff(angle_deg, 2)
+        sizes_deg = np.abs(bends_deg)
+        limit_deg = max(_JUMP_DEG, _JUMP_ACCELERATIONS * float(np.quantile(sizes_deg, 0.99)))
+        is_large = np.minimum(sizes_deg[:-1], sizes_deg[1:]) > limit_deg
+        is_jump = is_large & (bends_deg[:-1] * bends_deg[1:] < 0.0)
         for row in (np.flatnonzero(is_jump) + 1).tolist():
-            before, after = angle_deg[max(row - 4, 0) : row + 1], angle_deg[row + 1 : row + 6]
+            before = angle_deg[max(row + 1 - _JUMP_ROWS, 0) : row + 1]
+            after = angle_deg[row + 1 : row + 1 + _JUMP_ROWS]
             jump_deg = float(angle_deg[row + 1] - angle_deg[row])
-            if abs(float(np.median(after) - np.median(before))) < 0.6 * abs(jump_deg):
+            if abs(float(np.median(after) - np.median(before))) < _STAYING_SHARE * abs(jump_deg):
                 continue
             result.append(
                 Ambiguity(
@@ -302,10 +326,12 @@ def _flat_tops(flight: Flight) -> list[Ambiguity]:
 def _is_abrupt(angle_deg: Floats, span: tuple[int, int], step_s: float, encoder_deg: float) -> bool:
     """Whether an angle moves fast until a flat part, and after it. Shapes: `angle_deg` (n,)."""
     start, stop = span
+    # The motion is measured over the time of `_FLAT_S`, or over a fourth of a shorter part.
     rows = max(2, round(min(_FLAT_S, 0.25 * (stop - start) * step_s) / step_s))
     first, last = max(start - rows, 0), min(stop + rows - 1, angle_deg.size - 1)
-    entry, leave = angle_deg[start] - angle_deg[first], angle_deg[last] - angle_deg[stop - 1]
-    return bool(min(abs(entry), abs(leave)) > _FLAT_STEPS * max(encoder_deg, 0.02))
+    entered_deg = abs(angle_deg[start] - angle_deg[first])
+    exited_deg = abs(angle_deg[last] - angle_deg[stop - 1])
+    return bool(min(entered_deg, exited_deg) > _FLAT_STEPS * max(encoder_deg, _FINEST_STEP_deg))
 
 
 def _held_voltages(flight: Flight, reference: Reference) -> list[Ambiguity]:
@@ -319,25 +345,24 @@ def _held_voltages(flight: Flight, reference: Reference) -> list[Ambiguity]:
     pitch_fit = _regressions(flight, reference).get("pitch")
     for motor, other in (PAIR, PAIR[::-1]):
         intervals = np.diff(np.flatnonzero(changes[motor]))
-        if intervals.size < 10 or pitch_fit is None:
+        if intervals.size < _MIN_INTERVALS or pitch_fit is None:
             continue
-        usual_rows = float(np.quantile(intervals, 0.95))
-        if usual_rows * flight.step_s > _MAX_INTERVAL_S:
+        typical_rows = float(np.quantile(intervals, 0.95))
+        if typical_rows * flight.step_s > _MAX_INTERVAL_S:
             continue
-        rows = max(_HELD_S / flight.step_s, _HELD_INTERVALS * usual_rows)
+        held_rows = max(_HELD_S / flight.step_s, _HELD_INTERVALS * typical_rows)
         for start, last in runs_of(changes[motor] == 0.0):
             span = start, last + 1
             is_aloft = float(np.median(elevation_deg[slice(*span)])) > aloft_deg
-            if (
-                last - start < rows
-                or not is_aloft
-                or not _changes_around(changes, motor, other, span, flight)
-            ):
+            if last - start < held_rows or not is_aloft:
                 continue
-            if _is_limit(volts[motor], span, _LIMIT_SHARE * rows) and not (
+            if not _changes_around(changes, motor, other, span, flight):
+                continue
+            if _is_limit(volts[motor], span, _LIMIT_SHARE * held_rows) and not (
                 _jumps_to_limit(volts[motor], span, flight.step_s)
                 and _is_ignored(flight, motor, span, pitch_fit.lag_s)
             ):
+                # The amplifier holds the voltage at its limit, not a failed link.
                 continue
             return [
                 Ambiguity(
@@ -360,16 +385,20 @@ def _changes_around(
     """
     start, stop = span
     near = max(5, round(_NEAR_S / flight.step_s))
-    before = changes[motor][max(start - 1 - near, 0) : max(start - 1, 0)]
-    beside = (changes[motor], before), (changes[motor], changes[motor][stop : stop + near])
     witness = changes[other]
     if not witness[start : stop - 1].any():
         # Both voltages may stand still; a controller would follow the motion.
         witness = np.diff(flight.pitch_rad)
-    pairs = (*beside, (witness, witness[start : stop - 1]))
-    return all(
-        part.size > 0 and np.mean(part != 0.0) >= _CHANGING_SHARE * np.mean(whole != 0.0)
-        for whole, part in pairs
+
+    def is_changing(signal: Floats, rows: slice) -> bool:
+        """Whether the changes of a signal are as frequent in some rows as in all of them."""
+        part = signal[rows]
+        return part.size > 0 and bool(np.mean(part != 0.0) >= _CHANGING_SHARE * np.mean(signal != 0.0))
+
+    return (
+        is_changing(changes[motor], slice(max(start - 1 - near, 0), max(start - 1, 0)))
+        and is_changing(changes[motor], slice(stop, stop + near))
+        and is_changing(witness, slice(start, stop - 1))
     )
 
 
@@ -390,10 +419,11 @@ def _jumps_to_limit(volts: Floats, span: tuple[int, int], step_s: float) -> bool
     """Whether a voltage jumps to a limit and from it. Shapes: `volts` (n,)."""
     start, stop = span
     near = max(5, round(_NEAR_S / step_s))
-    beside = np.concatenate((volts[max(start - 1 - near, 0) : start], volts[stop : stop + near + 1]))
+    nearby = np.concatenate((volts[max(start - 1 - near, 0) : start], volts[stop : stop + near + 1]))
     jump = min(abs(float(volts[start] - volts[start - 1])), abs(float(volts[stop] - volts[stop - 1])))
-    large = float(np.quantile(np.abs(np.diff(beside)), 0.9))
-    return jump > max(_VOLTAGE_JUMP * large, _LIMIT_JUMP * abs(float(np.median(volts)) - float(volts[start])))
+    large_step = float(np.quantile(np.abs(np.diff(nearby)), 0.9))
+    limit_distance = abs(float(np.median(volts)) - float(volts[start]))
+    return jump > max(_VOLTAGE_JUMP * large_step, _LIMIT_JUMP * limit_distance)
 
 
 def _is_ignored(flight: Flight, motor: str, span: tuple[int, int], lag_s: float) -> bool:
@@ -403,19 +433,23 @@ def _is_ignored(flight: Flight, motor: str, span: tuple[int, int], lag_s: float)
     Amplifiers have limits, so that a voltage stands still there without a failed link.
     """
     start, stop = span
-    volts = {"front": flight.front_V, "back": flight.back_V}
-    logged_V = volts["front"] - volts["back"]
-    bridged = volts[motor].copy()
-    bridged[start:stop] = np.interp(
-        flight.t_s[start:stop], flight.t_s[[start - 1, stop]], bridged[[start - 1, stop]]
-    )
-    bridged_V = (volts | {motor: bridged})["front"] - (volts | {motor: bridged})["back"]
-    columns = {"pitch": flight.pitch_rad, "logged": logged_V, "bridged": bridged_V}
+    logged_V = {"front": flight.front_V, "back": flight.back_V}
+    # The other voltage: a straight line across the part.
+    line_V = logged_V[motor].copy()
+    ends = [start - 1, stop]
+    line_V[start:stop] = np.interp(flight.t_s[start:stop], flight.t_s[ends], line_V[ends])
+    bridged_V = logged_V | {motor: line_V}
+    columns = {
+        "pitch": flight.pitch_rad,
+        "logged": logged_V["front"] - logged_V["back"],
+        "bridged": bridged_V["front"] - bridged_V["back"],
+    }
     table = Table("flight", {name: Column(values) for name, values in columns.items()})
     signals = column_signals(table, flight.t_s, list(columns))
     pitch = signals.filtered["pitch"]
 
     def regressors(cause: str) -> Floats:
+        """Constant, voltage difference, rate and sine of pitch, which together accelerate pitch."""
         response = delay(signals.filtered[cause].value, lag_s)
         return np.column_stack((np.ones(response.size), response, pitch.rate, np.sin(pitch.value)))
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.tables import Angle, Profile, Table, Voltage, flights_of, profile_text
@@ -29,9 +29,11 @@ from heli_lab.setup.guess.motion import (
     Assignment,
     Reference,
     RegressionFit,
+    VoltageLimits,
     axis_regressions,
     feedback_sign,
     lag_ambiguities,
+    lag_sentence,
     pooled_fits,
     rate_nats,
     reference_of,
@@ -87,6 +89,13 @@ _AMBIGUOUS_ERROR_RATIO: Final = 1.15
 are ambiguous. Wrong choices have 1.3 and more on measured flights. A lower value trusts chance."""
 
 
+class ProposedGuess(NamedTuple):
+    """A guess that has not been simulated yet."""
+
+    guess: Guess
+    longest_parts: list[Table]  # Longest part of each file in which times rise and no angle jumps
+
+
 @dataclass(frozen=True)
 class RigMatch:
     """Guesses of several files of one rig, with the rig that fits them.
@@ -120,8 +129,7 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     FlightDataError
         When the table has no five columns that can be the angles and voltages, or no times and no rate.
     """
-    proposed, longest_parts = propose([table], rig, rate_Hz)
-    return check_by_simulation(proposed, longest_parts, rig)[0]
+    return check_by_simulation(propose([table], rig, rate_Hz), rig)[0]
 
 
 def guess_by_rigs(
@@ -157,26 +165,28 @@ def guess_by_rigs(
     rigs = {name: load_rig(name) for name in rig_names() if rig is None or name != rig.name}
     if rig is not None:
         rigs[rig.name] = rig
+    # One step of work per rig, and one for the simulations.
     work_steps = len(rigs) + 1
-    proposals: dict[str, Guess] = {}
-    longest_parts: dict[str, list[Table]] = {}
+    proposals: dict[str, ProposedGuess] = {}
     refusals: dict[str, HeliError] = {}
     for number, (name, candidate) in enumerate(rigs.items()):
         progress(number / work_steps)
         try:
-            proposals[name], longest_parts[name] = propose(tables, candidate, rate_Hz, known)
+            proposals[name] = propose(tables, candidate, rate_Hz, known)
         except HeliError as error:
             refusals[name] = error
     if not proposals or (rig is not None and rig.name not in proposals):
         raise refusals[rig.name if rig is not None else next(iter(refusals))]
-    best = max(proposals, key=lambda name: proposals[name].log_likelihood)
+    guess_of_rig = {name: proposal.guess for name, proposal in proposals.items()}
+    best = max(guess_of_rig, key=lambda name: guess_of_rig[name].log_likelihood)
     chosen = rig.name if rig is not None else best
+    profile = guess_of_rig[chosen].profile
     progress(1.0 - 1.0 / work_steps)
-    guesses = check_by_simulation(proposals[chosen], longest_parts[chosen], rigs[chosen])
-    evidence, ambiguities = _compare_with_second(proposals, chosen, is_given=rig is not None)
+    guesses = check_by_simulation(proposals[chosen], rigs[chosen])
+    evidence, ambiguities = _compare_with_second(guess_of_rig, chosen, is_given=rig is not None)
     if rig is None:
-        ambiguities += _unknown_rig(proposals[chosen].profile, chosen, known)
-    ambiguities += part_ambiguities(tables, proposals[chosen].profile, rigs[chosen], is_given=rig is not None)
+        ambiguities += _unknown_rig(profile, chosen, known)
+    ambiguities += part_ambiguities(tables, profile, rigs[chosen], is_given=rig is not None)
     guesses = [
         replace(each, evidence=(*evidence, *each.evidence), ambiguities=(*ambiguities, *each.ambiguities))
         for each in guesses
@@ -185,17 +195,17 @@ def guess_by_rigs(
 
 
 def _compare_with_second(
-    proposals: Mapping[str, Guess], chosen: str, *, is_given: bool
+    guess_of_rig: Mapping[str, Guess], chosen: str, *, is_given: bool
 ) -> tuple[list[str], list[Ambiguity]]:
     """Compare the chosen rig file with the best of all others; return evidence and ambiguities."""
-    others = [name for name in proposals if name != chosen]
+    others = [name for name in guess_of_rig if name != chosen]
     # Rigs that give the same profile are not an ambiguity, but the better fit is reported.
-    profile = profile_text(proposals[chosen].profile)
-    differing = [name for name in others if profile_text(proposals[name].profile) != profile]
-    second = max(differing or others, key=lambda name: proposals[name].log_likelihood, default=None)
+    profile = profile_text(guess_of_rig[chosen].profile)
+    differing = [name for name in others if profile_text(guess_of_rig[name].profile) != profile]
+    second = max(differing or others, key=lambda name: guess_of_rig[name].log_likelihood, default=None)
     if second is None:
         return [], []
-    lead_nats = proposals[chosen].log_likelihood - proposals[second].log_likelihood
+    lead_nats = guess_of_rig[chosen].log_likelihood - guess_of_rig[second].log_likelihood
     comparison = f"{abs(lead_nats):.0f} nats {'worse' if lead_nats >= 0.0 else 'better'}"
     evidence = [f"rig: compared with {chosen}; {second} fits {comparison}"]
     # A given rig is used unless another one fits clearly better; an automatic choice must win clearly.
@@ -234,14 +244,13 @@ def _unknown_rig(profile: Profile, rig_name: str, known: KnownEntries) -> list[A
 
 def propose(
     tables: Sequence[Table], rig: Rig, rate_Hz: float | None = None, known: KnownEntries = NOTHING_KNOWN
-) -> tuple[Guess, list[Table]]:
-    """Propose one profile for the files of one rig, without simulating it; return it with the longest part of
-    each file.
-    """
+) -> ProposedGuess:
+    """Propose one profile for the files of one rig, without simulating it."""
     reference = reference_of(rig)
     signed = [with_directions(known.with_units(table.aligned(_named_angles(table)))) for table in tables]
     files = [prepare_file(table, reference, rate_Hz, known) for table, _ in signed]
-    directions = {name: direction for _, used in signed for name, direction in used.items()}
+    direction_columns = {voltage: column for _, used in signed for voltage, column in used.items()}
+    first_table, _ = signed[0]
     source = files[0].table.source
     clock, ambiguities = _common_clock(files)
     # Which column is which: by names, and otherwise by how well each assignment explains the motion.
@@ -261,7 +270,7 @@ def propose(
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
     ambiguities += doubtful_columns + unit_ambiguities + unknown_unit_ambiguities(assignment, scale)
-    if clock.sure and not _states_unit(signed[0][0], clock) and _fits_nothing(regressions):
+    if clock.sure and not _states_unit(first_table, clock) and _fits_nothing(regressions):
         clock = replace(clock, sure=False, alternative="another unit, which the file does not state")
         ambiguities.append(
             Ambiguity("the time", f"{clock.column} in {clock.unit}", clock.alternative, NO_RATE)
@@ -282,16 +291,15 @@ def propose(
     ambiguities += flights.rates() + equal_voltages(assignment, files) + flights.inverted_shares(signs)
     # Zero of the elevation, from the rest on the table, and delays between columns.
     offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
-    timing_ambiguities, lag_sentence = lag_ambiguities(regressions)
-    ambiguities += zero_ambiguities + timing_ambiguities
+    ambiguities += zero_ambiguities + lag_ambiguities(regressions)
     ambiguities += flights.pitch_zero(signs, regressions["pitch"].lag_s)
     profile = known.applied(
         Profile(
             _angle_entries(assignment, scale, signs, reference, offset_deg),
-            _voltage_entries(assignment, scale, signs, reference, directions),
-            "" if rate_Hz else clock.column,
-            clock.unit,
-            rate_Hz or 0.0,
+            _voltage_entries(assignment, scale, signs, reference, direction_columns),
+            time="" if rate_Hz else clock.column,
+            time_unit=clock.unit,
+            rate_Hz=rate_Hz or 0.0,
             about=f"guessed from {Path(source).name}",
             mirrored=mirrored,
         )
@@ -301,7 +309,7 @@ def propose(
         left_out = ", ".join(f"{name} ({reason})" for name, reason in options.left_out.items())
         evidence.append(f"left out: {left_out}")
     evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES]
-    evidence += [lag_sentence, _hover_sentence(motion, scale, reference)]
+    evidence += [lag_sentence(regressions), _hover_sentence(motion, scale, reference)]
     longest_parts = [file.table for file in files]
     # Programs log commands that the motors cannot follow: voltages above the supply were limited to it.
     if profile.clip_V is None:
@@ -309,7 +317,7 @@ def propose(
         ambiguities += limit_ambiguities
     unknown = tuple(ambiguity for ambiguity in ambiguities if not known.states(ambiguity))
     proposed = Guess(profile, unknown, tuple(evidence), log_likelihood=assignment.log_likelihood)
-    return proposed, longest_parts
+    return ProposedGuess(proposed, longest_parts)
 
 
 def _states_unit(table: Table, clock: Clock) -> bool:
@@ -400,7 +408,7 @@ class _FlightsInUnits:
     assignment: Assignment  # Column of each angle and voltage
     scale: Scale  # Units of the columns
     reference: Reference  # Gains, hover voltage and encoders of the rig file
-    limits: tuple[float, float]  # Smallest and largest voltage of a motor, in the unit of the columns
+    limits: VoltageLimits  # Smallest and largest voltage of a motor, in the unit of the columns
 
     @property
     def bias(self) -> float:
@@ -500,8 +508,9 @@ class _FlightsInUnits:
         Travel is steady at level pitch, except for the constant torque that the rig file states.
         """
         rad = self.scale.rad(self.reference)
-        estimates = [steady_pitch_deg(file.signals, self.assignment, rad, lag_s) for file in self.files]
-        (level_deg, level_std_deg), (held_deg, held_std_deg) = np.mean(estimates, axis=0)
+        by_file = [steady_pitch_deg(file.signals, self.assignment, rad, lag_s) for file in self.files]
+        # Means over the files: the pitch with steady travel, and the pitch that equal voltages hold.
+        (level_deg, level_std_deg), (held_deg, held_std_deg) = np.mean(by_file, axis=0)
         level_deg, held_deg = float(signs.pitch * level_deg), float(signs.pitch * held_deg)
         expected_deg, torque_std_deg = self.reference.level_pitch_deg
         # Cables pull in either direction, and so does a mirror image.
@@ -544,11 +553,14 @@ class _FlightsInUnits:
         ]
 
 
-def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> list[Guess]:
-    """Check the signs of a guess by simulation of the baseline model of a `rig`."""
+def check_by_simulation(proposal: ProposedGuess, rig: Rig) -> list[Guess]:
+    """Check the signs of a guess by simulation of the baseline model of a `rig`; return one guess per
+    file.
+    """
+    proposed, tables = proposal
     longest = [max(flights_of(table, proposed.profile), key=len) for table in tables]
-    choices = [try_sign_choices(flight, rig) for flight in longest]
-    simulated = [trials for trials in choices if trials]
+    choices_by_file = [try_sign_choices(flight, rig) for flight in longest]
+    simulated = [choices for choices in choices_by_file if choices]
     if not simulated:
         ambiguity = Ambiguity(
             "the signs",
@@ -557,9 +569,11 @@ def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> l
             "the flight is too short in the air to simulate the model",
         )
         return [proposed.with_ambiguity(ambiguity) for _ in tables]
+    # Mean over the files, for each choice of signs.
     log_ratios = np.mean(
-        [[math.log(choice.error_ratio) for choice in trials] for trials in simulated], axis=0
+        [[math.log(choice.error_ratio) for choice in choices] for choices in simulated], axis=0
     )
+    # All files have the same choices, the proposed one first.
     second = int(np.argmin(log_ratios[1:])) + 1
     name, ratio = simulated[0][second].name, math.exp(float(log_ratios[second]))
     if ratio < _AMBIGUOUS_ERROR_RATIO:
@@ -576,7 +590,7 @@ def check_by_simulation(proposed: Guess, tables: Sequence[Table], rig: Rig) -> l
         f"{ratio:.1f} times as large"
     )
     proposed = replace(proposed, evidence=(*proposed.evidence, evidence))
-    return [replace(proposed, sign_choices=trials) for trials in choices]
+    return [replace(proposed, sign_choices=choices) for choices in choices_by_file]
 
 
 def _torque_text(torque_nats: float, mirrored: bool, rig: Rig) -> str:
@@ -624,13 +638,13 @@ def _voltage_entries(
     scale: Scale,
     signs: SignChanges,
     reference: Reference,
-    directions: Mapping[str, str],
+    direction_columns: Mapping[str, str],
 ) -> dict[str, Voltage]:
     """Make the entries of the profile for the voltages: sum and difference, or front and back.
 
-    `directions` names the column of the direction of a voltage that was logged without its sign.
+    `direction_columns` has the column of the direction of each voltage that was logged without its sign.
     """
-    pair = [
+    first, second = (
         Voltage(
             column,
             scale.voltage,
@@ -639,14 +653,15 @@ def _voltage_entries(
             polarity,
             factor=scale.factor,
             supply_column=reference.supply_column,
-            sign_column=directions.get(column, ""),
+            sign_column=direction_columns.get(column, ""),
         )
         for column, polarity in zip(assignment.voltages, assignment.polarity, strict=True)
-    ]
-    if assignment.summed:
-        if scale.bias_removed:
-            pair[0] = replace(pair[0], offset_V=round(reference.hover_V, 3))
-        if signs.motors_swapped:
-            pair[1] = replace(pair[1], sign=-pair[1].sign)
-        return dict(zip(SUMS, pair, strict=True))
-    return dict(zip(PAIR, pair[::-1] if signs.motors_swapped else pair, strict=True))
+    )
+    if not assignment.summed:
+        front, back = (second, first) if signs.motors_swapped else (first, second)
+        return dict(zip(PAIR, (front, back), strict=True))
+    if scale.bias_removed:
+        first = replace(first, offset_V=round(reference.hover_V, 3))
+    if signs.motors_swapped:
+        second = replace(second, sign=-second.sign)
+    return dict(zip(SUMS, (first, second), strict=True))

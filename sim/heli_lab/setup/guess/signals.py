@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
@@ -101,7 +101,7 @@ def clock_of(table: Table) -> Clock:
     plausible step (1), and if column and unit are unambiguous (1). A column whose name means the time may
     fall and repeat: its rows are repaired later.
     """
-    scored_clocks: list[tuple[float, Clock]] = []
+    scored_clocks: list[_ScoredClock] = []
     reasons: list[str] = []
     states_time = any(names.is_time(name) for name in table.columns)
     for name, column in table.columns.items():
@@ -112,29 +112,44 @@ def clock_of(table: Table) -> Clock:
         # A unit of times names the time, too, in a language whose word is not known.
         has_time_unit = (column.unit or split_unit(name)[1]) in TIME_UNITS
         is_named = names.is_time(name) or (has_time_unit and not states_time)
-        rising_share, falling_share = float(np.mean(steps > 0.0)), float(np.mean(steps < 0.0))
         step = _mean_step(values)
         is_coarse = not is_named and _is_coarse_clock(values)
         if not ((is_coarse or _is_clock(values, is_named)) and step > 0.0):
-            if is_named and np.ptp(values) == 0.0:
-                reasons.append(f"'{name}' is {values[0]:g} in all rows")
-            elif is_named:
-                first = int(np.argmax(steps < 0.0)) + 2
-                reasons.append(
-                    f"'{name}' rises in {100.0 * rising_share:.0f} % of its rows and falls in "
-                    f"{100.0 * falling_share:.0f} %, first at row {first}"
-                )
+            if is_named:
+                reasons.append(_why_no_clock(name, values))
             continue
         even_share = float(np.mean(np.abs(steps / step - 1.0) < _MAX_UNEVENNESS))
         clock = _interpret_as_times(name, column.unit, step, float(values[0]), values.size)
         if is_coarse and clock.sure:
             clock = replace(clock, sure=False, alternative=_COARSE)
         score = 2.0 * is_named + even_share + bool(clock.unit) + clock.sure
-        scored_clocks.append((score, clock))
+        scored_clocks.append(_ScoredClock(score, bool(clock.unit), clock))
     if not scored_clocks:
         reasons.append("no column has the name of a time, and none rises steadily or in equal steps")
-        return Clock("", "", False, reasons[0])
-    return max(scored_clocks, key=lambda scored: (scored[0], bool(scored[1].unit)))[1]
+        return Clock("", "", sure=False, alternative=reasons[0])
+    return max(scored_clocks, key=lambda scored: (scored.score, scored.has_unit)).clock
+
+
+class _ScoredClock(NamedTuple):
+    """A column that may be the time; of equal scores, the one with a unit wins."""
+
+    score: float
+    has_unit: bool
+    clock: Clock
+
+
+def _why_no_clock(name: str, values: Floats) -> str:
+    """Give the reason why a column with the name of a time does not rise like one."""
+    if np.ptp(values) == 0.0:
+        return f"'{name}' is {values[0]:g} in all rows"
+    steps = np.diff(values)
+    rising_share, falling_share = float(np.mean(steps > 0.0)), float(np.mean(steps < 0.0))
+    # A step ends one row after it begins, and people count rows from 1.
+    first_row = int(np.argmax(steps < 0.0)) + 2
+    return (
+        f"'{name}' rises in {100.0 * rising_share:.0f} % of its rows and falls in "
+        f"{100.0 * falling_share:.0f} %, first at row {first_row}"
+    )
 
 
 def _is_clock(values: Floats, is_named: bool) -> bool:
@@ -206,51 +221,45 @@ def _mean_step(values: Floats) -> float:
 def _interpret_as_times(name: str, header_unit: str, step: float, first: float, rows: int) -> Clock:
     """Interpret a column that rises from row to row, from its `first` value on, as times of all `rows`."""
     shortest_s, longest_s = _STEPS_s
-    possible_units = [unit for unit, s in TIME_UNITS.items() if shortest_s <= step * s <= longest_s]
+    fitting_units = [unit for unit, s in TIME_UNITS.items() if shortest_s <= step * s <= longest_s]
     # As 0.0003: a step in minutes at 50 Hz, or in seconds at 3 kHz, with which the log is a second long.
-    too_short = [unit for unit in possible_units if step * rows * TIME_UNITS[unit] < _MIN_FLIGHT_S]
-    too_short = [unit for unit in too_short if len(too_short) < len(possible_units)]
-    possible_units = [unit for unit in possible_units if unit not in too_short] + too_short
-    words = names.words_of(name)
+    short_units = [unit for unit in fitting_units if step * rows * TIME_UNITS[unit] < _MIN_FLIGHT_S]
+    long_units = [unit for unit in fitting_units if unit not in short_units]
+    # The most plausible unit; empty if none fits.
+    unit = next(iter(long_units + short_units), "")
+    log_rates = f"a log has {1.0 / longest_s:.0f} to {1.0 / shortest_s:.0f} rows per second"
+
+    def unsure(unit: str, alternative: str) -> Clock:
+        """Return the column with an ambiguous unit, or without one, and the reason."""
+        return Clock(name, unit, sure=False, alternative=alternative)
+
+    words, is_named = names.words_of(name), names.is_time(name)
     stated_unit = header_unit or split_unit(name)[1]
     if not stated_unit:
         stated_unit = "ms" if "millis" in words else "us" if "micros" in words else unit_of(name)
-    if stated_unit in TIME_UNITS and (stated_unit in possible_units or not possible_units):
-        return Clock(
-            name,
-            stated_unit if possible_units else "",
-            bool(possible_units),
-            f"'{name}' has steps of {step:g} {stated_unit}, but a log has {1.0 / longest_s:.0f} to "
-            f"{1.0 / shortest_s:.0f} rows per second",
-        )
     if stated_unit in TIME_UNITS:
-        return Clock(
-            name, possible_units[0], False, f"in {stated_unit}, as its name says, with steps of {step:g}"
-        )
+        contradiction = f"'{name}' has steps of {step:g} {stated_unit}, but {log_rates}"
+        if not fitting_units:
+            return unsure("", contradiction)
+        if stated_unit in fitting_units:
+            return Clock(name, stated_unit, sure=True, alternative=contradiction)
+        return unsure(unit, f"in {stated_unit}, as its name says, with steps of {step:g}")
     is_whole = step >= 1.0 and step == round(step)
-    if (
-        is_whole
-        and not names.is_time(name)
-        and names.meaning_of(name, header_unit).quantity == names.A_COUNTER
-    ):
-        return Clock(name, "", False, f"'{name}' counts the rows")
+    if is_whole and not is_named and names.meaning_of(name, header_unit).quantity == names.A_COUNTER:
+        return unsure("", f"'{name}' counts the rows")
     may_count_rows = abs(step - 1.0) < 1e-6
-    if may_count_rows and not names.is_time(name) and first in (0.0, 1.0):
-        return Clock(name, "", False, f"'{name}' rises by 1 from row to row, as a counter of rows")
-    if may_count_rows and not (names.is_time(name) and possible_units):
-        return Clock(name, possible_units[0] if possible_units else "ms", False, "it may count rows")
-    if not possible_units:
-        rates = f"a log has {1.0 / longest_s:.0f} to {1.0 / shortest_s:.0f} rows per second"
-        return Clock(name, "", False, f"'{name}' has steps of {step:g}, but {rates}")
-    unknown = names.unknown_unit_of(name)
-    if unknown:
-        return Clock(
-            name, possible_units[0], False, f"in {unknown}, as its name says, which is no known unit"
-        )
-    if too_short:
-        return Clock(name, possible_units[0], False, f"in {too_short[0]}")
+    if may_count_rows and not is_named and first in (0.0, 1.0):
+        return unsure("", f"'{name}' rises by 1 from row to row, as a counter of rows")
+    if may_count_rows and not (is_named and unit):
+        return unsure(unit or "ms", "it may count rows")
+    if not unit:
+        return unsure("", f"'{name}' has steps of {step:g}, but {log_rates}")
+    if unknown := names.unknown_unit_of(name):
+        return unsure(unit, f"in {unknown}, as its name says, which is no known unit")
+    if long_units and short_units:
+        return unsure(unit, f"in {short_units[0]}")
     # A log has steps of 0.2 to 150 ms. At most two units fit, and the first one is meant.
-    return Clock(name, possible_units[0], not may_count_rows, "it may count rows" if may_count_rows else "")
+    return unsure(unit, "it may count rows") if may_count_rows else Clock(name, unit, sure=True)
 
 
 def without_spikes(table: Table, columns: Collection[str]) -> Table:

@@ -135,9 +135,8 @@ def travel_torque_nats(
     expected_rad_s2, std_rad_s2 = reference.travel_rad_s2
     if not expected_rad_s2:
         return 0.0
-    solution, _ = travel_equation(signals, assignment, rad)
-    measured_rad_s2 = sign * rad["travel"] * float(solution[0])
-    # Log-likelihood ratio of two normal distributions, about plus and minus the expected acceleration.
+    measured_rad_s2 = sign * rad["travel"] * travel_equation(signals, assignment, rad).constant
+    # Likelihood ratio of two normal distributions, about plus and minus the expected acceleration.
     ratio = math.exp(np.clip(2.0 * measured_rad_s2 * expected_rad_s2 / std_rad_s2**2, -50.0, 50.0))
     # A share of rigs has a torque in the opposite direction, which bounds the evidence of every flight.
     return math.log(

@@ -22,6 +22,7 @@ from heli_lab.setup.guess.motion import (
     Assignment,
     Reference,
     RegressionFit,
+    VoltageLimits,
     axis_regressions,
     free_rows,
     pooled_fits,
@@ -198,7 +199,8 @@ class MeasuredMotion:
     def exceeds(self, scale: Scale, reference: Reference) -> bool:
         """Whether a few commands exceed the supply in the units of a scale, so that they act limited."""
         share_beyond = float(np.mean(self.supply_shares(scale, reference) > _CLIP_SHARE))
-        return _CLIPPED_SHARES[0] < share_beyond <= _CLIPPED_SHARES[1]
+        min_share, max_share = _CLIPPED_SHARES
+        return min_share < share_beyond <= max_share
 
 
 def measured_motion(
@@ -242,24 +244,21 @@ def measured_motion(
 
 def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
     """Score all combinations of units of angles and voltages; return them, the most likely first."""
-    voltage_choices = [(unit, 255.0) for unit in _VOLTAGE_UNITS if unit != "pwm"]
-    voltage_choices += [("pwm", full_scale) for full_scale in _FULL_SCALES]
-    sums = list(itertools.product((1.0, 2.0), (False, True))) if motion.summed else [(1.0, False)]
     angle_choices = [
         _angle_choice(dict(zip(AXES, units, strict=True)), motion, reference)
         for units in itertools.product(_ANGLE_UNITS, repeat=3)
     ]
     ranked = []
-    for (unit, full_scale), (factor, bias_removed) in itertools.product(voltage_choices, sums):
-        choice = Scale(dict.fromkeys(AXES, "rad"), unit, full_scale, factor, bias_removed)
+    for choice in _voltage_choices(motion.summed):
         volts = choice.volts(reference)
         mean_V = abs(motion.mean_sum) * volts
-        if bias_removed and mean_V > 0.5 * reference.hover_V:
+        if choice.bias_removed and mean_V > 0.5 * reference.hover_V:
             continue
-        hover_std = 0.0 if bias_removed else _deviation_std(mean_V, reference.hover_V, _HOVER_STD)
+        hover_std = 0.0 if choice.bias_removed else _deviation_std(mean_V, reference.hover_V, _HOVER_STD)
+        # Deviations are normally distributed: each costs half of its square.
         voltage_nats = _voltage_unit_nats(choice, motion, reference) - 0.5 * hover_std**2
         # A file has a thousand combinations for each of a few units: each unit's deviation is computed once.
-        by_rad = {
+        deviation_by_rad = {
             axis: {
                 rad: _gain_deviation(motion.gain[axis] * rad / volts, axis, reference)
                 for rad in {angles.rad[axis] for angles in angle_choices}
@@ -269,23 +268,37 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
         for angles in angle_choices:
             deviation_std = {
                 "hover": hover_std,
-                "elevation": by_rad["elevation"][angles.rad["elevation"]],
-                "pitch": by_rad["pitch"][angles.rad["pitch"]],
+                "elevation": deviation_by_rad["elevation"][angles.rad["elevation"]],
+                "pitch": deviation_by_rad["pitch"][angles.rad["pitch"]],
                 "travel": angles.travel_std,
             }
             nats = voltage_nats - 0.5 * sum(deviation_std[axis] ** 2 for axis in AXES)
             ranked.append(
                 Scale(
                     angles.units,
-                    unit,
-                    full_scale,
-                    factor,
-                    bias_removed,
+                    choice.voltage,
+                    choice.full_scale,
+                    choice.factor,
+                    choice.bias_removed,
                     log_likelihood=nats + angles.nats,
                     deviation_std=deviation_std,
                 )
             )
     return sorted(ranked, key=lambda scale: -scale.log_likelihood)
+
+
+def _voltage_choices(summed: bool) -> list[Scale]:
+    """List all units of the voltages, with angles in radians; `summed` voltages may be halved or lack their
+    bias.
+    """
+    units = [(unit, _FULL_SCALES[0]) for unit in _VOLTAGE_UNITS if unit != "pwm"]
+    units += [("pwm", full_scale) for full_scale in _FULL_SCALES]
+    factors, biases_removed = ((1.0, 2.0), (False, True)) if summed else ((1.0,), (False,))
+    rad = dict.fromkeys(AXES, "rad")
+    return [
+        Scale(rad, unit, full_scale, factor, bias_removed)
+        for (unit, full_scale), factor, bias_removed in itertools.product(units, factors, biases_removed)
+    ]
 
 
 class _AngleChoice(NamedTuple):
@@ -386,7 +399,9 @@ def choose_scale(motion: MeasuredMotion, reference: Reference, rig: Rig) -> tupl
         *_equally_likely_units(as_stated, motion, reference, rig),
         *_implausible_scales(best, rig),
         *_implausible_rate(best),
-        *_supply_ambiguities(as_stated, motion, reference),
+        *_missing_bias(best, reference),
+        *_centred_shares(best, motion, reference),
+        *_unknown_supply(as_stated, motion, reference),
     ]
 
 
@@ -496,54 +511,47 @@ def _implausible_rate(best: Scale) -> list[Ambiguity]:
     ]
 
 
-def _supply_ambiguities(
+def _missing_bias(best: Scale, reference: Reference) -> list[Ambiguity]:
+    """Report a sum that was logged without its bias."""
+    if not best.bias_removed:
+        return []
+    chosen = f"{reference.hover_V:.2f} V, the rig file's hover voltage"
+    reason = "the sum was logged without its bias; look up the bias and set offset_V"
+    return [Ambiguity("the sum's bias", chosen, "another value", reason)]
+
+
+def _centred_shares(best: Scale, motion: MeasuredMotion, reference: Reference) -> list[Ambiguity]:
+    """Report shares of the supply that may have their 0 V in the middle."""
+    if _centred_nats(best, motion, reference) <= _CENTRED_NATS:
+        return []
+    return [
+        Ambiguity(
+            "the voltages' unit",
+            f"{best.voltage}{best.full_scale_text} from 0 V on",
+            f"{best.voltage}{best.full_scale_text} with 0 V in its middle",
+            "the voltages are never negative, and the motion fits a driver for both directions better; "
+            "look up the value at rest",
+        )
+    ]
+
+
+def _unknown_supply(
     possible: Sequence[Scale], motion: MeasuredMotion, reference: Reference
 ) -> list[Ambiguity]:
-    """Report an unknown bias of the voltages, and an unknown supply."""
-    best, ambiguities = possible[0], []
-    if best.bias_removed:
-        ambiguities.append(
-            Ambiguity(
-                "the sum's bias",
-                f"{reference.hover_V:.2f} V, the rig file's hover voltage",
-                "another value",
-                "the sum was logged without its bias; look up the bias and set offset_V",
-            )
-        )
-    if _centred_nats(best, motion, reference) > _CENTRED_NATS:
-        ambiguities.append(
-            Ambiguity(
-                "the voltages' unit",
-                f"{best.voltage}{best.full_scale_text} from 0 V on",
-                f"{best.voltage}{best.full_scale_text} with 0 V in its middle",
-                "the voltages are never negative, and the motion fits a driver for both directions better; "
-                "look up the value at rest",
-            )
-        )
+    """Report that the supply is unknown if the voltages are shares of it; `possible` begins with the best."""
+    best = possible[0]
     if best.voltage not in SHARES or reference.supply_column:
-        return ambiguities
+        return []
     if motion.stated_units["voltage"]:
         # The gains differ too much from rig to rig to show a supply of 11 instead of 12 V.
-        ambiguities.append(
-            Ambiguity(
-                "the supply voltage",
-                f"{reference.supply_V:g} V, as in the rig file",
-                "another supply",
-                "a share of the supply does not show it; measure the supply and set supply_V",
-            )
-        )
-    else:
-        in_volts = max((each.log_likelihood for each in possible if each.voltage == "V"), default=-math.inf)
-        or_volts = ", or V" if best.log_likelihood - in_volts < 2.0 * DECISIVE_NATS else ""
-        ambiguities.append(
-            Ambiguity(
-                "the voltages' unit",
-                f"{best.voltage}{best.full_scale_text}, a share of {reference.supply_V:g} V",
-                f"a share of another supply{or_volts}",
-                "the file does not state it; measure the supply and set supply_V",
-            )
-        )
-    return ambiguities
+        chosen = f"{reference.supply_V:g} V, as in the rig file"
+        reason = "a share of the supply does not show it; measure the supply and set supply_V"
+        return [Ambiguity("the supply voltage", chosen, "another supply", reason)]
+    nats_in_volts = max((each.log_likelihood for each in possible if each.voltage == "V"), default=-math.inf)
+    or_volts = ", or V" if best.log_likelihood - nats_in_volts < 2.0 * DECISIVE_NATS else ""
+    chosen = f"{best.voltage}{best.full_scale_text}, a share of {reference.supply_V:g} V"
+    reason = "the file does not state it; measure the supply and set supply_V"
+    return [Ambiguity("the voltages' unit", chosen, f"a share of another supply{or_volts}", reason)]
 
 
 def _centred_nats(best: Scale, motion: MeasuredMotion, reference: Reference) -> float:
@@ -575,27 +583,31 @@ def with_logged_supply(reference: Reference, files: Sequence[PreparedFile], hove
     """
     columns = files[0].table.columns
     meanings = meanings_of({name: column.unit for name, column in columns.items()})
-    plausible: dict[str, float] = {}
+    min_share, max_share = _SUPPLY_SHARES
+    plausible_V: dict[str, float] = {}
     for name, meaning in meanings.items():
         if meaning.quantity != A_SUPPLY or any(name not in file.table.columns for file in files):
             continue
-        per_unit = VOLTAGE_UNITS.get(columns[name].unit or split_unit(name)[1], 1.0)
-        mean_V = per_unit * float(np.nanmean(columns[name].values))
+        volts_per_unit = VOLTAGE_UNITS.get(columns[name].unit or split_unit(name)[1], 1.0)
+        mean_V = volts_per_unit * float(np.nanmean(columns[name].values))
         share = mean_V / reference.supply_V
-        explains_hover = (
-            share > 0.0
-            and hover_V > 0.0
-            and (
-                abs(_deviation_std(share * hover_V, reference.hover_V, _HOVER_STD))
-                < min(1.0, abs(_deviation_std(hover_V, reference.hover_V, _HOVER_STD)))
-            )
-        )
-        if _SUPPLY_SHARES[0] < share < _SUPPLY_SHARES[1] or explains_hover:
-            plausible[name] = mean_V
-    if len(plausible) != 1:
+        if min_share < share < max_share or _explains_hover(share, hover_V, reference):
+            plausible_V[name] = mean_V
+    if len(plausible_V) != 1:
         return reference
-    ((name, mean_V),) = plausible.items()
+    ((name, mean_V),) = plausible_V.items()
     return replace(reference, supply_V=round(mean_V, 3), supply_column=name)
+
+
+def _explains_hover(share: float, hover_V: float, reference: Reference) -> bool:
+    """Whether a supply, as a `share` of the rig file's, brings the sum of the voltages in flight, `hover_V`
+    with the rig file's supply, to the rig file's hover voltage.
+    """
+    if share <= 0.0 or hover_V <= 0.0:
+        return False
+    deviation_std = abs(_deviation_std(hover_V, reference.hover_V, _HOVER_STD))
+    corrected_std = abs(_deviation_std(share * hover_V, reference.hover_V, _HOVER_STD))
+    return corrected_std < min(1.0, deviation_std)
 
 
 @dataclass(frozen=True)
@@ -638,75 +650,67 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
     Programs zero the elevation either at level or at rest on the table. The rest at the beginning of the
     flight shows which, because the rig file states the angle of the arm on its table.
     """
-    table_deg = reference.rest_deg
-    tolerance_deg = REST_TOLERANCE_DEG + reference.rest_tolerance_deg
+    table_deg, table_tolerance_deg = reference.rest_deg, reference.rest_tolerance_deg
+
+    def unchanged(chosen: str, alternative: str, reason: str) -> tuple[float, list[Ambiguity]]:
+        """Add nothing to the elevation, but report another zero."""
+        return 0.0, [Ambiguity("the elevation's zero", chosen, alternative, reason)]
+
     if rest.deg is None:
         if abs(rest.median_deg) < 0.5 * abs(table_deg):
             return 0.0, []
-        return 0.0, [
-            Ambiguity(
-                "the elevation's zero",
-                f"0 as it is, with {rest.median_deg:.0f} deg in flight",
-                f"0 at rest, so {table_deg:g} deg to add"
-                if abs(rest.median_deg) < 2.0 * abs(table_deg)
-                else f"{-rest.median_deg:.0f} deg to add, so that it flies at 0 deg",
-                "the flight does not begin at rest; start logging while the arm is on the table",
-            )
-        ]
-    if rest.median_deg - rest.deg < _MIN_CLIMB * abs(table_deg):
-        return 0.0, [
-            Ambiguity(
-                "the elevation's zero",
-                f"as it is, at the beginning {rest.deg:.1f} deg",
-                f"{table_deg - rest.deg:.1f} deg to add, so that it begins at {table_deg:g} deg",
-                f"the flight is only {rest.median_deg - rest.deg:.0f} deg above its beginning, which may be "
-                "the table or the air; measure the angle at rest",
-            )
-        ]
-    zero_at_level = abs(rest.deg - table_deg) < tolerance_deg
-    zero_at_rest = abs(rest.deg) < tolerance_deg
-    differs = abs(rest.deg - table_deg) > _ZERO_DEG + reference.rest_tolerance_deg
-    if rest.begins_lowest and zero_at_level and not zero_at_rest and differs:
-        return 0.0, [
-            Ambiguity(
-                "the elevation's zero",
-                f"as it is, at rest {rest.deg:.1f} deg",
-                f"{table_deg - rest.deg:.1f} deg to add, so that it rests at {table_deg:g} deg",
-                f"the rig file states the table at {table_deg:g} ± {reference.rest_tolerance_deg:g} deg; "
-                "measure the angle at rest",
-            )
-        ]
-    if rest.begins_lowest and zero_at_level != zero_at_rest:
-        return (0.0 if zero_at_level else table_deg - rest.deg), []
-    at_rest = f"{table_deg - rest.deg:.1f} deg to add, so that it rests at {table_deg:g} deg"
-    # A log that begins in flight may be zeroed there, and most pilots fly near level.
-    in_flight = (
-        "" if rest.begins_lowest else f", or {-rest.median_deg:.1f} deg to add, so that it flies at 0 deg"
-    )
-    return 0.0, [
-        Ambiguity(
-            "the elevation's zero",
-            f"as it is, at rest {rest.deg:.1f} deg",
-            f"{at_rest}{in_flight}",
-            "with the rig file's table angle, neither level nor rest would be 0; measure the angle at rest",
+        return unchanged(
+            f"0 as it is, with {rest.median_deg:.0f} deg in flight",
+            f"0 at rest, so {table_deg:g} deg to add"
+            if abs(rest.median_deg) < 2.0 * abs(table_deg)
+            else f"{-rest.median_deg:.0f} deg to add, so that it flies at 0 deg",
+            "the flight does not begin at rest; start logging while the arm is on the table",
         )
-    ]
+    climb_deg, to_table_deg = rest.median_deg - rest.deg, table_deg - rest.deg
+    if climb_deg < _MIN_CLIMB * abs(table_deg):
+        return unchanged(
+            f"as it is, at the beginning {rest.deg:.1f} deg",
+            f"{to_table_deg:.1f} deg to add, so that it begins at {table_deg:g} deg",
+            f"the flight is only {climb_deg:.0f} deg above its beginning, which may be the table or the air; "
+            "measure the angle at rest",
+        )
+    as_it_is = f"as it is, at rest {rest.deg:.1f} deg"
+    rests_at_table = f"{to_table_deg:.1f} deg to add, so that it rests at {table_deg:g} deg"
+    zero_at_level = abs(to_table_deg) < REST_TOLERANCE_DEG + table_tolerance_deg
+    zero_at_rest = abs(rest.deg) < REST_TOLERANCE_DEG + table_tolerance_deg
+    is_off_table = abs(to_table_deg) > _ZERO_DEG + table_tolerance_deg
+    if rest.begins_lowest and zero_at_level and not zero_at_rest and is_off_table:
+        return unchanged(
+            as_it_is,
+            rests_at_table,
+            f"the rig file states the table at {table_deg:g} ± {table_tolerance_deg:g} deg; measure the "
+            "angle at rest",
+        )
+    if rest.begins_lowest and zero_at_level != zero_at_rest:
+        return (0.0 if zero_at_level else to_table_deg), []
+    # A log that begins in flight may be zeroed there, and most pilots fly near level.
+    flies_at_level = f", or {-rest.median_deg:.1f} deg to add, so that it flies at 0 deg"
+    return unchanged(
+        as_it_is,
+        rests_at_table + ("" if rest.begins_lowest else flies_at_level),
+        "with the rig file's table angle, neither level nor rest would be 0; measure the angle at rest",
+    )
 
 
-def supply_limits(scale: Scale, motion: MeasuredMotion, reference: Reference) -> tuple[float, float]:
+def supply_limits(scale: Scale, motion: MeasuredMotion, reference: Reference) -> VoltageLimits:
     """Return the smallest and the largest voltage of a motor, in the unit of the columns.
 
     The limits are minus and plus the supply if some commands exceed it, otherwise infinite.
     """
     limit = reference.supply_V / scale.volts(reference)
-    return (-limit, limit) if motion.exceeds(scale, reference) else NO_LIMITS
+    return VoltageLimits(-limit, limit) if motion.exceeds(scale, reference) else NO_LIMITS
 
 
 def one_way_nats(
-    regress: Callable[[tuple[float, float]], Mapping[str, RegressionFit]], limits: tuple[float, float]
+    regress: Callable[[VoltageLimits], Mapping[str, RegressionFit]], limits: VoltageLimits
 ) -> float:
     """Log-likelihood ratio of motors that do not reverse against motors within the limits [nats]."""
-    reversing, one_way = regress(limits), regress((0.0, limits[1]))
+    reversing, one_way = regress(limits), regress(limits._replace(low=0.0))
     return sum(
         one_way[axis].log_likelihood_ratio - reversing[axis].log_likelihood_ratio
         for axis in ("elevation", "pitch")
@@ -739,7 +743,8 @@ def _clipped_to_zero(
     volts_V = _voltages_V(tables, profile)
     share_below = float(np.mean(volts_V < (1.0 - _CLIP_SHARE) * reference.supply_V))
     # Rotors that push down most of the time cannot fly: then signs or zeros are wrong, not the limits.
-    if not _CLIPPED_SHARES[0] <= share_below <= _CLIPPED_SHARES[1]:
+    min_share, max_share = _CLIPPED_SHARES
+    if not min_share <= share_below <= max_share:
         return profile, []
     nats = nats_for_one_way()
     # If the rig file says that motors do not reverse, only clear evidence to the contrary keeps the commands.
@@ -773,7 +778,8 @@ def _clipped_to_supply(
         return profile, []
     clipped = f"clipped to {limit_V:g} V, the rig file's supply"
     as_logged = f"as logged, up to {largest_V:.1f} V"
-    if share_beyond > _CLIPPED_SHARES[1]:
+    _, max_share = _CLIPPED_SHARES
+    if share_beyond > max_share:
         reason = (
             f"{100.0 * share_beyond:.0f} % of the rows exceed the supply; set clip_V, or give your rig with "
             "--rig"
