@@ -180,7 +180,8 @@ def _block_arm(heli: Heli, operator: Operator) -> None:
     rest_deg = heli.params["elevation_rest_deg"]
     for _ in range(_MAX_ATTEMPTS):
         operator.act(HandAction.TIE)
-        lifted_deg = angles_deg(heli)[0] - rest_deg
+        elevation_deg, *_ = angles_deg(heli)
+        lifted_deg = elevation_deg - rest_deg
         if lifted_deg >= _MIN_BLOCKED_deg:
             return
         operator.report(

@@ -110,10 +110,10 @@ def _movement_deg(heli: Heli, operator: Operator, axis: str, action: HandAction)
 
 def _check_return(heli: Heli, start_deg: Floats, axis: str) -> None:
     """Raise a CalibrationError if the elevation does not return to its first reading."""
-    error_deg = angles_deg(heli) - start_deg
     # Only the elevation has a table that stops it; pitch and travel may come to rest anywhere.
-    if abs(error_deg[0]) > _RETURNED_deg:
+    elevation_error_deg, *_ = angles_deg(heli) - start_deg
+    if abs(elevation_error_deg) > _RETURNED_deg:
         raise CalibrationError(
-            f"elevation reads {error_deg[0]:+.1f} degrees from its first rest after {axis} moved",
+            f"elevation reads {elevation_error_deg:+.1f} degrees from its first rest after {axis} moved",
             "check the coupling, the cable and the pull-ups of the elevation encoder",
         )

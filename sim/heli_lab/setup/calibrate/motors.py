@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -88,6 +88,13 @@ class _Series:
     begins_V: float = 0.0  # Lowest voltage at which pitch moved [V]
 
 
+class _Peak(NamedTuple):
+    """Largest change of pitch after a pulse, and the voltage of the pulse."""
+
+    volts_V: float
+    deg: float
+
+
 def calibrate_motor(
     heli: Heli, operator: Operator, output: str, rig: Rig, limits: PulseLimits, check: Callable[[], None]
 ) -> MotorResult:
@@ -146,14 +153,12 @@ class _Pulser:
         """
         series = _Series()
         volts_V, step_V = start_V, _STEP_V
-        peaks: list[tuple[float, float]] = []
+        peaks: list[_Peak] = []
         while volts_V <= self._limits.max_V + 1e-9 and len(series.pulses) < _MOVING_PULSES:
             pulse = self.pulse(volts_V)
-            change_counts, std_counts = _response_counts(
-                pulse, self._count_rad, self._rig if self._drifts else None
-            )
-            if abs(change_counts) > max(_MOVED_counts, _MOVED_STDS * std_counts):
-                turn = int(np.sign(change_counts))
+            response = _response_counts(pulse, self._count_rad, self._rig if self._drifts else None)
+            if abs(response.change) > max(_MOVED_counts, _MOVED_STDS * response.std):
+                turn = int(np.sign(response.change))
                 # First motion: its voltage is where the dead zone ends.
                 if not series.rotor:
                     series.rotor = self._confirm_rotor(volts_V)
@@ -167,20 +172,20 @@ class _Pulser:
                 # Reversed, or wired to push down: the caller repeats the series with the other sign.
                 if turn != _lift_turn(series.rotor):
                     break
-                peak_deg = float(np.degrees(abs(change_counts) * self._count_rad))
-                peaks.append((volts_V, peak_deg))
+                peaks.append(_Peak(volts_V, float(np.degrees(abs(response.change) * self._count_rad))))
                 step_V = self._next_step(peaks)
                 if step_V < _MIN_STEP_V:
                     break
             volts_V = round(volts_V + step_V, 3)
         return series
 
-    def _next_step(self, peaks: list[tuple[float, float]]) -> float:
+    def _next_step(self, peaks: list[_Peak]) -> float:
         """Return the next increase of the voltage [V], small enough that pitch stays far below its limit."""
-        volts_V, peak_deg = peaks[-1]
-        previous_V, previous_deg = peaks[-2] if len(peaks) > 1 else (volts_V - _STEP_V, 0.0)
-        deg_per_V = max((peak_deg - previous_deg) / (volts_V - previous_V), 1e-3)
-        return min(_STEP_V, (_MAX_ANGLE_SHARE * self._limits.max_angle_deg - peak_deg) / deg_per_V)
+        last = peaks[-1]
+        # The pulse before the first peak did not move pitch.
+        previous = peaks[-2] if len(peaks) > 1 else _Peak(last.volts_V - _STEP_V, 0.0)
+        deg_per_V = max((last.deg - previous.deg) / (last.volts_V - previous.volts_V), 1e-3)
+        return min(_STEP_V, (_MAX_ANGLE_SHARE * self._limits.max_angle_deg - last.deg) / deg_per_V)
 
     def _confirm_rotor(self, volts_V: float) -> str:
         """Ask the operator which rotor turned, ``front`` or ``back``."""
@@ -374,15 +379,20 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
         round(duration_s / _PULSE_GRID_s) for duration_s in (_BEFORE_s, _PULSE_s, _AFTER_s)
     )
     count = before + during + after
-    powers = _matrix_powers(matrix_exponentials(state_matrix[np.newaxis] * _PULSE_GRID_s)[0], count)
-    # States are angle, rate, acceleration by thrust, and the voltage, which only the pulse sets.
-    state_after_pulse = powers[during] @ (0.0, 0.0, 0.0, 1.0)
-    state_after_pulse[3] = 0.0
+    (step_transition,) = matrix_exponentials(state_matrix[np.newaxis] * _PULSE_GRID_s)
+    # Transitions over 0, 1, 2, ... steps. States are angle, rate, acceleration by thrust, and the voltage,
+    # which only the pulse sets.
+    transitions = _matrix_powers(step_transition, count)
+    angle, rate, _, voltage = range(4)
+    state_after_pulse = transitions[during, :, voltage].copy()
+    state_after_pulse[voltage] = 0.0
+    # Columns: the response to a pulse of 1, a constant, and free motion from an initial angle or rate of 1.
     design = np.zeros((count, 4))
-    design[before : before + during, 0] = powers[:during, 0, 3]
-    design[before + during :, 0] = powers[:after, 0] @ state_after_pulse
+    pulse_response = design[:, 0]
+    pulse_response[before : before + during] = transitions[:during, angle, voltage]
+    pulse_response[before + during :] = transitions[:after, angle] @ state_after_pulse
     design[:, 1] = 1.0
-    design[:, 2:] = powers[:, 0, :2]
+    design[:, 2:] = transitions[:, angle, [angle, rate]]
     return design
 
 
@@ -394,12 +404,16 @@ class _PitchDynamics:
     damping: float
     lag_s: float
 
+    def design(self) -> Floats:
+        """Compute the design matrix of `response_design`, shape (times, 4)."""
+        return response_design(self.stiffness, self.damping, self.lag_s)
+
     def accelerations(self, measured: Floats) -> Floats:
         """Estimate the pitch acceleration that each pulse caused [rad/s^2], shape (n,). Shapes: `measured`
         (times, n).
         """
-        design = response_design(self.stiffness, self.damping, self.lag_s)
-        return np.asarray(_least_squares(design, measured)[0])
+        pulse_response, *_ = _least_squares(self.design(), measured)
+        return np.asarray(pulse_response)
 
 
 def _pitch_dynamics_of_rig(rig: Rig) -> _PitchDynamics:
@@ -431,9 +445,15 @@ def _fit_pitch_dynamics(measured: Floats, start: _PitchDynamics) -> _PitchDynami
     return _PitchDynamics(*map(float, fit.x))
 
 
-def _response_counts(pulse: Pulse, count_rad: float, drifting: Rig | None = None) -> tuple[float, float]:
-    """Measure how much a pulse moves pitch, in encoder counts of `count_rad` [rad]. Returns `change_counts`,
-    `std_counts`.
+class _Response(NamedTuple):
+    """Largest change of pitch after a pulse, and its standard error, in encoder counts."""
+
+    change: float
+    std: float
+
+
+def _response_counts(pulse: Pulse, count_rad: float, drifting: Rig | None = None) -> _Response:
+    """Measure how much a pulse moves pitch, in encoder counts of `count_rad` [rad].
 
     If the short arm drifts, because its rotors differ by a few grams, the drift is estimated together with
     the response, with the dynamics of the rig file `drifting`.
@@ -441,19 +461,20 @@ def _response_counts(pulse: Pulse, count_rad: float, drifting: Rig | None = None
     before, during = round(_BEFORE_s / _PULSE_GRID_s), round(_PULSE_s / _PULSE_GRID_s)
     before_rad = pulse.pitch_rad[:before]
     if drifting is None:
+        # Pitch still moves after a pulse: it is largest within another length of the pulse.
         change_rad = pulse.pitch_rad[before : before + 2 * during] - before_rad.mean()
         largest_rad = change_rad[np.argmax(np.abs(change_rad))]
-        return float(largest_rad / count_rad), float(before_rad.std() / count_rad)
-    dynamics = _pitch_dynamics_of_rig(drifting)
-    design = response_design(dynamics.stiffness, dynamics.damping, dynamics.lag_s)
+        return _Response(float(largest_rad / count_rad), float(before_rad.std() / count_rad))
+    design = _pitch_dynamics_of_rig(drifting).design()
     coefficients = _least_squares(design, pulse.pitch_rad)
     residual_rad = pulse.pitch_rad - design @ coefficients
     # Neighbouring residuals are alike, so that a fit has as many observations as the pulse has lengths.
     observations = len(residual_rad) * _PULSE_GRID_s / _PULSE_s
     covariance = np.linalg.pinv(design.T @ design) * len(residual_rad) / max(observations, 1.0)
+    # The first coefficient is that of the response to the pulse.
     std = float(np.sqrt(covariance[0, 0]) * residual_rad.std())
     peak_counts = float(np.abs(design[:, 0]).max() / count_rad)
-    return float(coefficients[0]) * peak_counts, std * peak_counts
+    return _Response(float(coefficients[0]) * peak_counts, std * peak_counts)
 
 
 def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
@@ -477,6 +498,7 @@ def thrust_of(pulses: Sequence[Pulse], sign: int, rig: Rig) -> ThrustLine | str:
         refit = _fit_pitch_dynamics(other_pulses, dynamics)
         thrust_N = newton_per_acceleration * refit.accelerations(other_pulses)
         estimates.append(_gain_and_zero(np.delete(volts_V, index), thrust_N))
+    # Variance of the jackknife with n estimates: (n - 1) / n times the sum of the squared deviations.
     deviations = np.array(estimates) - np.mean(estimates, axis=0)
     factor = (len(estimates) - 1) / len(estimates)
     gain_std, dead_zone_std = np.sqrt(factor * np.sum(deviations**2, axis=0))
