@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
-from heli_lab.explain.candidates import Candidate, typical_candidate
+from heli_lab.explain.candidates import Candidate, CandidateSignals, typical_candidate
 from heli_lab.explain.comparison import Hypothesis, ModelComparison
 from heli_lab.explain.screening import Screening, score_of
 from heli_lab.fit.estimator import estimate, maximise
@@ -91,7 +91,7 @@ def test_encoder_scale_has_no_high_score_about_the_right_model() -> None:
     angles = np.zeros((linear.rows, 3, 3))
     angles[:, range(3), range(3)] = linear.nodes.state[:, :3]
     statistics = Screening(baseline().estimate).information(
-        [(np.zeros((linear.rows, 6, 3)), angles)], [1, 1, 1]
+        [CandidateSignals(np.zeros((linear.rows, 6, 3)), angles)], [1, 1, 1]
     )
     scores = [score_of(information, score, np.ones(1)) for information, score in statistics]
     # A cause must gain at least 14 nats.

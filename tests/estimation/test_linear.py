@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_host.data.arrays import Floats
 from heli_lab.fit.flight_model import DISTURBANCE_START, RigParameters, filter_record, model_functions
-from heli_lab.fit.innovations import InnovationsModel
+from heli_lab.fit.innovations import InnovationsModel, ModelErrors
 from heli_lab.fit.linearised_flight import BLOCK_s, Derivatives, LinearisedFlight
 from heli_lab.fit.model_functions import ModelFunctions
 from heli_lab.fit.reference_trajectory import ReferenceTrajectory
@@ -184,7 +184,7 @@ def _log_likelihood_loss_by_noise(linear: LinearisedFlight, filtered: Innovation
     # This counts independent encoder errors. The measurements are zero, and the noise is so large that it
     # alone determines the likelihood. Each independent error then loses log(e) / 2, which is half a nat.
     no_measurements = [
-        (np.zeros_like(blocks.drive[:, :, :1]), np.zeros_like(blocks.measured[:, :, :1]))
+        ModelErrors(np.zeros_like(blocks.drive[:, :, :1]), np.zeros_like(blocks.measured[:, :, :1]))
         for blocks in linear.blocks
     ]
     noisy = [replace(DISTURBANCE_START, quantisation=np.full(3, size)) for size in (1e9, np.e * 1e9)]

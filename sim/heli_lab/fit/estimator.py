@@ -125,6 +125,8 @@ class _Likelihood:
         """Compute the log-likelihood at a point, and its negative second derivatives near it. Returns shape
         `values` (m,), `curvature` (f, f).
         """
+        # Differences of step h: f'' = (f(x+h) - 2 f(x) + f(x-h)) / h^2, and for two parameters
+        # (f(x+h, y+h) - f(x+h, y) - f(x, y+h) + f(x, y)) / h^2.
         h = 3 * _DIFFERENCE
         inside = np.clip(point, self.low + h, self.high - h)
         points = [point, inside]

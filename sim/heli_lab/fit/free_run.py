@@ -269,8 +269,11 @@ class CompiledKernel(Kernel):
         windows = len(inputs.steps)
         angles = np.empty((inputs.rows, 3))
         end = np.empty((windows, self._state_count))
+        # C reads rows without gaps.
         arrays = (inputs.mean_V, inputs.change_V, inputs.start_s, start, parameters)
-        mean, change, start_s, x0, p = (np.ascontiguousarray(array, float) for array in arrays)
+        mean_V, change_V, start_s, start_state, all_parameters = (
+            np.ascontiguousarray(array, float) for array in arrays
+        )
         # These dictionaries also keep the arrays alive while C has their addresses.
         of_mean = {by.parameter: np.ascontiguousarray(by.of_mean) for by in inputs.voltage_derivatives}
         of_change = {by.parameter: np.ascontiguousarray(by.of_change) for by in inputs.voltage_derivatives}
@@ -278,20 +281,25 @@ class CompiledKernel(Kernel):
         first, steps = inputs.first, np.ascontiguousarray(inputs.steps, np.int64)
 
         def run_windows(low: int, high: int) -> None:
-            """Run the windows `low` to `high` - 1 in C; the arguments are those of heli_windows."""
+            """Run the windows `low` to `high` - 1 in C; the arguments are those of heli_windows. Arrays with
+            one row per window begin at `low`.
+            """
             self._windows(
                 ctypes.c_longlong(high - low),
-                *(_row_address(array, low) for array in (first, steps, start_s)),
+                _row_address(first, low),
+                _row_address(steps, low),
+                _row_address(start_s, low),
                 ctypes.c_double(inputs.step_s),
                 ctypes.c_longlong(inputs.substeps),
-                *(_row_address(mean), _row_address(change), mean_pointers, change_pointers),
-                *(
-                    _row_address(x0, low),
-                    _row_address(p),
-                    _row_address(angles),
-                    _row_address(jacobian),
-                    _row_address(end, low),
-                ),
+                _row_address(mean_V),
+                _row_address(change_V),
+                mean_pointers,
+                change_pointers,
+                _row_address(start_state, low),
+                _row_address(all_parameters),
+                _row_address(angles),
+                _row_address(jacobian),
+                _row_address(end, low),
                 _row_address(products.measured_rad if products else None),
                 _row_address(products.sigma_rad if products else None),
                 _row_address(products.result if products else None, low),

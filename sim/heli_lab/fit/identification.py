@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -23,6 +23,7 @@ from heli_sim.model.effect import AXES
 from heli_sim.rig import Number, Rig
 
 from heli_lab.errors import IdentifyError, NotExcited
+from heli_lab.fit.parameters import ValueAndStd
 from heli_lab.fit.problem import (
     PER_FLIGHT,
     Budget,
@@ -251,13 +252,6 @@ def refuse_unexplained(flight: Trace) -> None:
         )
 
 
-class _ValueAndStd(NamedTuple):
-    """An estimate and its standard error."""
-
-    value: float
-    std: float
-
-
 @dataclass(frozen=True)
 class Identification:
     """Result of an identification: a fit with its free runs.
@@ -347,15 +341,15 @@ class Identification:
         description = f"{fitted_rig.name}{_IDENTIFIED}{labels}"
         return Rig(name, description, numbers, self._effect_numbers(), self.fit.problem.model.name)
 
-    def _estimates_by_quantity(self) -> dict[str, list[_ValueAndStd]]:
+    def _estimates_by_quantity(self) -> dict[str, list[ValueAndStd]]:
         """Collect the estimates of each rig parameter: one, or one per flight if flights differ in it."""
         fit, problem = self.fit, self.fit.problem
         several_flights = len(problem.records) > 1
-        estimates: dict[str, list[_ValueAndStd]] = {}
+        estimates: dict[str, list[ValueAndStd]] = {}
         for parameter, value, std in zip(problem.free, fit.theta, fit.std.values(), strict=True):
             of_one_flight = several_flights and parameter.quantity in PER_FLIGHT
             if parameter.quantity in problem.rig.numbers and not of_one_flight:
-                estimates.setdefault(parameter.quantity, []).append(_ValueAndStd(float(value), std))
+                estimates.setdefault(parameter.quantity, []).append(ValueAndStd(float(value), std))
         return estimates
 
     def _effect_numbers(self) -> dict[str, dict[str, Number]]:

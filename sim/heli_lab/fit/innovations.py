@@ -107,11 +107,13 @@ _BATCH: Final = 4
 """Number of disturbance models whose log-likelihoods are computed together, at the cost of one."""
 
 
-ModelErrors = tuple[Floats, Floats]
-"""Errors of a linearised model in one window of b blocks; s such signals are filtered together.
+class ModelErrors(NamedTuple):
+    """Errors of a linearised model in one window of b blocks; s such signals are filtered together."""
 
-The first array, (b, states, s), is the change of the state's deviation over each block because of the
-error of the rates. The second one, (b, m, s), holds the errors of the measured outputs."""
+    drive: Floats
+    """(b, states, s): Change of the state's deviation over each block because of the error of the rates."""
+    measured: Floats  # (b, m, s): Errors of the measured outputs
+
 
 FlightErrors = Sequence[Sequence[ModelErrors]]
 """`ModelErrors` of each window of each flight."""
@@ -163,23 +165,22 @@ class InnovationsModel:
         ]
 
         def filter_window(window: tuple[LinearisedFlight, Blocks]) -> tuple[Floats, Floats]:
-            """Filter one window, and return what `_filter_signals` returns."""
+            """Filter one window; return its innovations, and its part of the outputs' log-variances, (m,)."""
             linearised, blocks = window
-            return self._filter_signals(linearised, blocks, disturbances, blocks.drive, blocks.measured)
+            innovations, log_variances = self._filter_signals(
+                linearised, blocks, disturbances, blocks.drive, blocks.measured
+            )
+            (correction_nats,) = _repetition_correction_nats(linearised, blocks, [disturbances])
+            return innovations, log_variances - 2.0 * correction_nats
 
-        # Consumed below in the order of `windows`.
         filtered = iter(parallel_map(filter_window, windows))
         flights, log_variances = [], np.zeros(self._outputs)
         for linearised in self.linearised_flights:
-            window_innovations = []
-            for blocks in linearised.blocks:
-                innovations, window_log_variances = next(filtered)
-                window_innovations.append(innovations)
-                log_variances += (
-                    window_log_variances
-                    - 2.0 * _repetition_correction_nats(linearised, blocks, [disturbances])[0]
-                )
-            flights.append(np.concatenate(window_innovations))
+            # The results come in the order of the windows: the next ones are those of this flight.
+            of_flight = [next(filtered) for _ in linearised.blocks]
+            flights.append(np.concatenate([innovations for innovations, _ in of_flight]))
+            for _, window_log_variances in of_flight:
+                log_variances += window_log_variances
         return Innovations(tuple(flights), self.columns, self.size, log_variances)
 
     def regressors(
@@ -271,7 +272,7 @@ class InnovationsModel:
         weights_of_columns = [np.concatenate(([1.0], -move[columns])) for columns in self.columns]
         return [
             [
-                ((blocks.drive @ weights)[:, :, None], (blocks.measured @ weights)[:, :, None])
+                ModelErrors((blocks.drive @ weights)[:, :, None], (blocks.measured @ weights)[:, :, None])
                 for blocks in linearised.blocks
             ]
             for linearised, weights in zip(self.linearised_flights, weights_of_columns, strict=True)
@@ -328,8 +329,8 @@ class InnovationsModel:
             return nats + _repetition_correction_nats(linearised, blocks, models)
 
         total = np.zeros((len(disturbance_models), self._outputs))
-        for job, nats in zip(jobs, parallel_map(window_nats, jobs), strict=True):
-            total[job[3]] += nats
+        for (*_, batch), nats in zip(jobs, parallel_map(window_nats, jobs), strict=True):
+            total[batch] += nats
         return total
 
 
@@ -403,16 +404,16 @@ def smoothed_disturbances(
         times, values, errors = [], [], []
         for blocks, (drive, measured) in zip(linearised.blocks, signals, strict=True):
             system = filtered.system(linearised, blocks, disturbances)
-            # Columns: states of the model, then the fast disturbances, then the slow ones.
             mean, variance = _kalman.smooth(*system, drive, measured)
-            first_fast = blocks.transition.shape[1]
-            first_slow = first_fast + blocks.part_input.shape[3]
-            fast, slow = (slice(first, first + outputs) for first in (first_fast, first_slow))
+            # Columns: states of the model, then the fast disturbances of all inputs, then the slow ones. The
+            # outputs' disturbances are the first inputs.
+            states, inputs = blocks.transition.shape[1], blocks.part_input.shape[3]
+            fast, slow = (slice(first, first + outputs) for first in (states, states + inputs))
             times.append(linearised.nodes.t_s[blocks.rows])
-            decay = system.autocorrelation[:, None] ** np.arange(len(blocks.part_input) if block_means else 1)
-            fast_share, slow_share = (
-                decay.mean(axis=1)[part.start - first_fast : part.stop - first_fast] for part in (fast, slow)
-            )
+            # Share of a disturbance at the first step of a block that is the mean over the steps.
+            steps = np.arange(len(blocks.part_input) if block_means else 1)
+            shares = (system.autocorrelation[:, None] ** steps).mean(axis=1)
+            fast_share, slow_share = shares[:outputs], shares[inputs : inputs + outputs]
             values.append(fast_share * mean[:, fast] + slow_share * mean[:, slow])
             errors.append(np.sqrt(fast_share**2 * variance[:, fast] + slow_share**2 * variance[:, slow]))
         result.append(

@@ -184,10 +184,13 @@ class LinearisedFlight:
 
     def derivatives(self, rows: slice) -> Derivatives:
         """Linearise the model in the steps `rows`."""
-        middle, h, followed = self.trajectory.part(rows), self.reference.step_s, self.model.followed
-        rates, a, by_disturbance, by_inputs, outputs, c = self.functions.along(middle)
+        middle, followed = self.trajectory.part(rows), self.model.followed
+        at = self.functions.along(middle)
+        rates, outputs, c = at.rates, at.outputs, at.outputs_by_state
+        # Parameters that change the inputs also act through them (chain rule).
         for number, derivative in self._input_derivatives:
-            rates[:, :, 1 + number] -= np.einsum("nij,nj->ni", by_inputs, derivative[rows])
+            rates[:, :, 1 + number] -= np.einsum("nij,nj->ni", at.by_input, derivative[rows])
+        # Column 0 becomes the model's error.
         rates[:, :followed, 0] -= self._change[rows]
         # All measurements of a rest have the same rounding error, so that together they count as one.
         variance = self.variance[rows] * np.where(self.at_rest[rows], self.repeats[rows], 1.0)
@@ -202,7 +205,8 @@ class LinearisedFlight:
         to_beginning = self.nodes.state[rows] - middle.state
         at_beginning = outputs[:, :, 0] + np.einsum("nij,nj->ni", c, to_beginning)
         outputs[:, :, 0] = self._measured[rows] - at_beginning
-        return Derivatives(*_kalman.midpoint(a, h), rates, by_disturbance, c, outputs, variance)
+        Phi, Gamma = _kalman.midpoint(at.by_state, self.reference.step_s)
+        return Derivatives(Phi, Gamma, rates, at.by_disturbance, c, outputs, variance)
 
     @cached_property
     def blocks(self) -> list[Blocks]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,20 @@ from heli_host.data.arrays import Floats
 from heli_sim.evaluate.trajectories import AlongTrajectory, EffectStates, Trajectory
 
 from heli_lab.fit.grey_box import GreyBoxModel
+
+
+class ModelDerivatives(NamedTuple):
+    """Rates and outputs of a model at n points of a trajectory, with their derivatives."""
+
+    rates: Floats
+    """(n, states, 1 + f): Column 0 holds the rates, the others their negative derivatives by the free
+    parameters."""
+    by_state: Floats  # by_state, by_disturbance, by_input: (n, states, k): Derivatives of the rates
+    by_disturbance: Floats
+    by_input: Floats
+    outputs: Floats
+    """(n, m, 1 + f): Column 0 holds the outputs, the others their derivatives by the free parameters."""
+    outputs_by_state: Floats  # (n, m, states): Derivatives of the outputs
 
 
 class ModelFunctions:
@@ -29,11 +44,6 @@ class ModelFunctions:
         All parameters of the model.
     places : list of int
         Indices of the free parameters in `names`.
-    along : AlongTrajectory
-        Function of n points of a trajectory, with six results. The first four are the rates with their
-        negative derivatives by the free parameters, (n, states, 1 + f), and the derivatives of the rates by
-        state, disturbances and inputs, (n, states, k) each. The last two are the outputs with their
-        derivatives by the free parameters, (n, m, 1 + f), and those by the state, (n, m, states).
     extra_states : int
         Number of states beyond positions and rates.
     """
@@ -52,7 +62,8 @@ class ModelFunctions:
                 return ca.SX(value.numel(), 0)
             return ca.jacobian(value, ca.vertcat(*(p[i] for i in self.places)))
 
-        # With the opposite sign, the filter gives the reduction of the innovations per unit of a parameter.
+        # These are the fields of ModelDerivatives. With the opposite sign of the derivatives, the filter
+        # gives the reduction of the innovations per unit of a parameter.
         results = [
             ca.horzcat(rates, -by_free(rates)),
             ca.jacobian(rates, x),
@@ -61,7 +72,7 @@ class ModelFunctions:
             ca.horzcat(outputs, by_free(outputs)),
             ca.jacobian(outputs, x),
         ]
-        self.along = AlongTrajectory(
+        self._along = AlongTrajectory(
             ca.Function("along", [x, u, t, p], [ca.densify(result) for result in results])
         )
         self.extra_states = model.extra_states
@@ -78,6 +89,10 @@ class ModelFunctions:
     def __reduce__(self) -> tuple[type[ModelFunctions], tuple[GreyBoxModel, tuple[str, ...]]]:
         """Pickle the arguments only, because compiled programs cannot be pickled."""
         return ModelFunctions, (self.model, self.free)
+
+    def along(self, trajectory: Trajectory) -> ModelDerivatives:
+        """Evaluate the model at each point of a trajectory."""
+        return ModelDerivatives(*self._along(trajectory))
 
     def integrate(self, trajectory: Trajectory, directions: Floats) -> Floats:
         """Integrate the extra states along a trajectory of positions and rates, from zero.

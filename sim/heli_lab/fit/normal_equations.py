@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
@@ -39,13 +39,14 @@ def solve_arrowhead(matrix: Floats, right: Floats, per_flight: Integers) -> Floa
     (flights, k); returns (f,).
     """
     columns = right[:, None] if right.ndim == 1 else right
-    shared, gain, complement, blocks = _eliminate_per_flight(matrix, per_flight)
+    reduced = _eliminate_per_flight(matrix, per_flight)
     solution = np.empty(columns.shape)
     flight_columns = columns[per_flight]
-    without_shared = np.linalg.solve(blocks, flight_columns) if per_flight.size else flight_columns
-    reduced = columns[shared] - np.einsum("nks,nkr->sr", gain, flight_columns)
-    solution[shared] = np.linalg.solve(complement, reduced)
-    solution[per_flight] = without_shared - gain @ solution[shared]
+    without_shared = np.linalg.solve(reduced.blocks, flight_columns) if per_flight.size else flight_columns
+    # Gaussian elimination: the shared unknowns first, then those of each flight.
+    reduced_right = columns[reduced.shared] - np.einsum("nks,nkr->sr", reduced.gain, flight_columns)
+    solution[reduced.shared] = np.linalg.solve(reduced.complement, reduced_right)
+    solution[per_flight] = without_shared - reduced.gain @ solution[reduced.shared]
     return solution[:, 0] if right.ndim == 1 else solution
 
 
@@ -55,6 +56,7 @@ def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
     """
     shared, gain, complement, blocks = _eliminate_per_flight(matrix, per_flight)
     inverse = np.empty(matrix.shape)
+    # The inverse of the Schur complement is the inverse's block of the shared unknowns.
     shared_inverse = np.linalg.inv(complement)
     inverse[np.ix_(shared, shared)] = shared_inverse
     if per_flight.size:
@@ -68,10 +70,17 @@ def invert_arrowhead(matrix: Floats, per_flight: Integers) -> Floats:
     return 0.5 * (inverse + inverse.T)
 
 
-def _eliminate_per_flight(matrix: Floats, per_flight: Integers) -> tuple[Integers, Floats, Floats, Floats]:
-    """Eliminate the unknowns of single flights. Returns shape `shared` (s,), `gain` (flights, k, s),
-    `complement` (s, s), `blocks` (flights, k, k).
-    """
+class _ReducedMatrix(NamedTuple):
+    """An arrowhead matrix from which the unknowns of single flights are eliminated."""
+
+    shared: Integers  # (s,): Unknowns that all flights share
+    gain: Floats  # (flights, k, s): Inverse of each flight's block times its border with the shared unknowns
+    complement: Floats  # (s, s): Schur complement, the matrix of the shared unknowns alone
+    blocks: Floats  # (flights, k, k): Matrix of each flight's unknowns
+
+
+def _eliminate_per_flight(matrix: Floats, per_flight: Integers) -> _ReducedMatrix:
+    """Eliminate the unknowns of single flights. Shapes: `matrix` (f, f), `per_flight` (flights, k)."""
     shared = np.setdiff1d(np.arange(len(matrix)), per_flight.ravel())
     blocks = matrix[per_flight[:, :, None], per_flight[:, None, :]]
     border = matrix[per_flight[:, :, None], shared[None, None, :]]
@@ -79,7 +88,7 @@ def _eliminate_per_flight(matrix: Floats, per_flight: Integers) -> tuple[Integer
     if per_flight.size:
         gain = np.asarray(np.linalg.solve(blocks, border), float)
     complement: Floats = matrix[np.ix_(shared, shared)] - np.einsum("nks,nkt->st", border, gain)
-    return shared, gain, complement, blocks
+    return _ReducedMatrix(shared, gain, complement, blocks)
 
 
 _ROUNDING: Final = 1e-12
@@ -120,6 +129,7 @@ def bounded_solve(
         descent = right - matrix @ x
         points_inside = np.where(x <= low, descent > 0.0, descent < 0.0)
         releasable = ~free & (low < high) & points_inside
+        # Twice the decrease if one unknown moves alone to its minimum.
         gain = np.where(releasable, descent**2 / curvature, 0.0)
         if not np.any(gain > _ROUNDING * np.max(right**2 / curvature)):
             break

@@ -10,7 +10,7 @@ import copy
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from heli_host.data.arrays import Floats, Integers
@@ -38,6 +38,13 @@ class PriorDistribution(Protocol):
     @property
     def high(self) -> float:
         """Upper bound."""
+
+
+class ValueAndStd(NamedTuple):
+    """An estimate and its standard error."""
+
+    value: float
+    std: float
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from heli_lab.fit.thresholds import (
     SHORT_FIT_S,
     STATE_FIT_S,
 )
-from heli_lab.fit.windows import Grid, WindowGrids, make_grid
+from heli_lab.fit.windows import Grid, VoltageDelay, WindowGrids, make_grid
 
 NOT_FREE: Final = frozenset({"g", *ENCODER_COUNTS})
 """Rig parameters that are never estimated by default, even if they have a tolerance: gravity is known better
@@ -372,7 +372,7 @@ class Problem:
         )
         return Evaluation((measured_rad - angles_rad) / sigma_rad, normal_matrix)
 
-    def delay_and_dead_zone(self, parameters: Floats) -> tuple[tuple[str, float] | None, float | None]:
+    def delay_and_dead_zone(self, parameters: Floats) -> tuple[VoltageDelay | None, float | None]:
         """Return the delay and the dead zone of the motors, which change the voltages before they act.
 
         Parameters
@@ -382,8 +382,8 @@ class Problem:
 
         Returns
         -------
-        delay : (str, float) or None
-            As in `delay_of`.
+        delay : VoltageDelay or None
+            None if no parameter delays the voltages.
         dead_zone_V : float or None
             Voltage below which there is no thrust; None if voltages below it also give thrust, as with rotors
             that reverse.
@@ -391,13 +391,11 @@ class Problem:
         return delay_of(self.model, parameters), self.model.dead_zone_V(parameters, self.names)
 
 
-def delay_of(model: Model, parameters: Floats) -> tuple[str, float] | None:
-    """Find the parameter that delays the voltages of a model. Shapes: `parameters` (p,); returns (str,
-    float).
-    """
+def delay_of(model: Model, parameters: Floats) -> VoltageDelay | None:
+    """Find the parameter that delays the voltages of a model. Shapes: `parameters` (p,)."""
     if not model.delay:
         return None
-    return model.delay, float(parameters[model.parameter_names.index(model.delay)])
+    return VoltageDelay(model.delay, float(parameters[model.parameter_names.index(model.delay)]))
 
 
 def _check_records(records: Sequence[Record]) -> None:

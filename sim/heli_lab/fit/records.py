@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
@@ -32,7 +32,7 @@ half a degree: far more than any other error. Below 1, times in whole millisecon
 
 
 def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
-    """Return the angle of one count of each encoder of a flight. Returns shape `count_rad` (3,)."""
+    """Return the angle of one count of each encoder of a flight, shape (3,), and notes on assumptions."""
     # A log of the board states this angle. In a table, it is the smallest step of the angles. If the angles
     # are not in whole counts, the count of the rig file is used.
     counts, notes = count_rad(flight), []
@@ -55,6 +55,7 @@ def even_step_s(flight: Flight, label: str) -> float:
     stray_steps = np.abs(np.cumsum(steps_s - step_s)) / step_s
     worst = int(np.argmax(stray_steps))
     if stray_steps[worst] > _MAX_STRAY_STEPS:
+        # A step ends one row after it begins, and data rows are numbered from 1.
         raise IdentifyError(
             f"{label}: the times t_s are uneven: data row {worst + 2} is {stray_steps[worst]:.0f} steps of "
             f"{step_s:.4g} s early or late",
@@ -66,11 +67,11 @@ def even_step_s(flight: Flight, label: str) -> float:
 def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> None:
     """Refuse a flight in which no axis moves, or in which a voltage is constant. Shapes: `count_rad` (3,)."""
     rows = len(flight)
-    moved = np.ptp(flight.angles_rad, axis=0) / count_rad
-    if np.all(moved < _MIN_MOTION_COUNTS):
-        most_moved = int(np.argmax(moved))
+    moved_counts = np.ptp(flight.angles_rad, axis=0) / count_rad
+    if np.all(moved_counts < _MIN_MOTION_COUNTS):
+        axis = int(np.argmax(moved_counts))
         raise NotExcited(
-            f"{label}: the rig never moves: {AXES[most_moved]}_rad varies by {moved[most_moved]:.0f} counts "
+            f"{label}: the rig never moves: {AXES[axis]}_rad varies by {moved_counts[axis]:.0f} counts "
             f"from data row 1 to {rows}",
             "fly it, for example with heli-host fly identify",
         )
@@ -83,7 +84,8 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
         else:
             continue
         raise IdentifyError(f"{label}: {name} is {reason} from data row 1 to {rows}", remedy)
-    if np.array_equal(flight.front_V, flight.back_V) and moved[1] * count_rad[1] > _MIN_PITCH_RAD:
+    _, pitch_range_rad, _ = moved_counts * count_rad
+    if np.array_equal(flight.front_V, flight.back_V) and pitch_range_rad > _MIN_PITCH_RAD:
         raise IdentifyError(
             f"{label}: front_V equals back_V from data row 1 to {rows}, although pitch moves",
             "log the voltage of each motor",
@@ -111,6 +113,7 @@ def refuse_jumps(flight: Flight, label: str, segments: tuple[tuple[int, int], ..
         for start, stop in segments:
             moves = np.abs(np.diff(flight.angles_rad[start:stop, index]))
             if moves.size and moves.max() > _JUMP_RAD:
+                # The jump ends one row after it begins, and data rows are numbered from 1.
                 row = start + int(np.argmax(moves)) + 2
                 raise IdentifyError(
                     f"{label}: {axis}_rad jumps by {moves.max():.3g} in data row {row}",
@@ -270,9 +273,9 @@ def prepare(
     count_rad, count_notes = encoder_counts(flight, rig)
     refuse_constant_columns(flight, label, count_rad)
     refuse_duty_cycles(flight, label, rig)
-    reasons, stop_notes = _reasons_to_cut(flight, rig, step_s, start_s, stop_s)
+    exclusions, stop_notes = _exclusions(flight, rig, step_s, start_s, stop_s)
     min_rows = max(2, round(thresholds.MIN_SEGMENT_S / step_s))
-    segments, cuts = _segments_and_cuts(reasons, flight, min_rows)
+    segments, cuts = _segments_and_cuts(exclusions, flight, min_rows)
     refuse_jumps(flight, label, segments)
     if not segments:
         t_s = flight.t_s
@@ -313,23 +316,30 @@ def prepare_all(
     )
 
 
-def _reasons_to_cut(
+class _Exclusion(NamedTuple):
+    """Rows of a flight that are not free flight, for one reason."""
+
+    is_excluded: Booleans  # (n,): Whether each row of the flight is excluded
+    why: str  # The reason, in a few words
+
+
+def _exclusions(
     flight: Flight, rig: Rig, step_s: float, start_s: float | None, stop_s: float | None
-) -> tuple[list[tuple[Booleans, str]], list[str]]:
-    """Find the rows of a flight that are not free flight. Returns shape `reasons` (n,)."""
-    reasons: list[tuple[Booleans, str]] = []
+) -> tuple[list[_Exclusion], list[str]]:
+    """Find the rows of a flight that are not free flight; return them with notes on its stops."""
+    exclusions: list[_Exclusion] = []
     if start_s is not None or stop_s is not None:
         low_s = -math.inf if start_s is None else start_s
         high_s = math.inf if stop_s is None else stop_s
-        reasons.append(((flight.t_s < low_s) | (flight.t_s >= high_s), "not asked for"))
+        exclusions.append(_Exclusion((flight.t_s < low_s) | (flight.t_s >= high_s), "not asked for"))
     if flight.state is not None and flight.state_names:
         motors_off = [number for number, name in flight.state_names.items() if name in ON_GROUND]
-        reasons.append((np.isin(flight.state, motors_off), "motors off"))
+        exclusions.append(_Exclusion(np.isin(flight.state, motors_off), "motors off"))
     near_table = _near_table(flight, rig, step_s)
     near_table |= _last_descent(flight, near_table, step_s)
-    reasons.append((near_table, "table, take-off or landing"))
+    exclusions.append(_Exclusion(near_table, "table, take-off or landing"))
     at_stops, notes = _contacts_with_stops(flight.angles_rad, rig, step_s)
-    return [*reasons, *at_stops], notes
+    return [*exclusions, *at_stops], notes
 
 
 def _near_table(flight: Flight, rig: Rig, step_s: float) -> Booleans:
@@ -346,6 +356,7 @@ def _near_table(flight: Flight, rig: Rig, step_s: float) -> Booleans:
     is_up = elevation_deg > max(min_clear_deg, typical_deg - _FLIGHT_RANGE_deg)
     near_table = in_contact.copy()
     settling_rows = round(thresholds.SETTLED_S / step_s)
+    # Each row after which a contact begins or ends.
     for last_row in np.flatnonzero(np.diff(in_contact.astype(int))):
         if in_contact[last_row]:
             # The contact ends: cut the take-off that follows.
@@ -416,11 +427,9 @@ def _last_descent(flight: Flight, near_table: Booleans, step_s: float) -> Boolea
     return descent
 
 
-def _contacts_with_stops(
-    angles_rad: Floats, rig: Rig, step_s: float
-) -> tuple[list[tuple[Booleans, str]], list[str]]:
-    """Find the contacts with the mechanical stops. Returns shape `reasons` (n,)."""
-    reasons: list[tuple[Booleans, str]] = []
+def _contacts_with_stops(angles_rad: Floats, rig: Rig, step_s: float) -> tuple[list[_Exclusion], list[str]]:
+    """Find the contacts with the mechanical stops; return them with notes on angles beyond a stop."""
+    exclusions: list[_Exclusion] = []
     notes = []
     lag_rows = round(thresholds.LAG_S / step_s)
     names = ("elevation_max", "pitch_max", "travel_max")
@@ -432,32 +441,31 @@ def _contacts_with_stops(
         at_stop = deflection_deg > stop.value - unsure_deg - thresholds.STOP_MARGIN_DEG
         largest_deg = deflection_deg.max()
         if largest_deg > stop.value + stop.tolerance + thresholds.BEYOND_STOP_DEG:
-            note = f"{axis} reaches {largest_deg:.0f} angle_deg, beyond the rig's {name} of {stop.value:g}"
+            note = f"{axis} reaches {largest_deg:.0f} deg, beyond the rig's {name} of {stop.value:g}"
             notes.append(f"{note}: taken to be free there")
         elif at_stop.any():
+            # Also the rows just before and after a contact.
             near_stop = np.convolve(at_stop, np.ones(2 * lag_rows + 1), mode="same") > 0.5
-            reasons.append((near_stop, f"stop of the {axis}"))
-    return reasons, notes
+            exclusions.append(_Exclusion(near_stop, f"stop of the {axis}"))
+    return exclusions, notes
 
 
 def _segments_and_cuts(
-    reasons: list[tuple[Booleans, str]], flight: Flight, min_rows: int
+    exclusions: list[_Exclusion], flight: Flight, min_rows: int
 ) -> tuple[tuple[tuple[int, int], ...], tuple[Cut, ...]]:
-    """Divide a flight into segments of free flight and cuts. Shapes: `reasons` (n,). Returns `segments`,
-    `cuts`.
-    """
+    """Divide a flight into segments of free flight, given as first row and last row plus one, and cuts."""
     t_s = flight.t_s
-    # Per row: 0 in free flight, otherwise 1 + index of the reason. The first reason is written last and wins.
+    reasons = ["", *(exclusion.why for exclusion in exclusions)]
+    # Number of the reason in each row; 0 is free flight. The first exclusion is written last and wins.
     reason_number = np.zeros(len(t_s), int)
-    for index, (rows, _) in reversed(list(enumerate(reasons))):
-        reason_number[rows] = index + 1
+    for number, exclusion in reversed(list(enumerate(exclusions, 1))):
+        reason_number[exclusion.is_excluded] = number
     is_border = np.diff(reason_number) != 0
     is_border[flight.gaps] = True
     edges = [0, *(int(row) + 1 for row in np.flatnonzero(is_border)), len(t_s)]
     segments, cuts = [], []
     for start, stop in itertools.pairwise(edges):
-        number = reason_number[start]
-        why = reasons[number - 1][1] if number else ""
+        why = reasons[reason_number[start]]
         if not why and stop - start < min_rows:
             why = "too short between cuts"
         if why:

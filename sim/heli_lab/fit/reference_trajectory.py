@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats, Integers
@@ -164,7 +164,7 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
         if stop_step - first_step > 1:
             windows.append(slice(first_step, stop_step))
     at_rest = _at_rest(record, rows)
-    directions, direction_variance, pause_s = _directions_in_play(record, rows)
+    in_play = _positions_in_play(record, rows)
     return ReferenceTrajectory(
         record=record,
         every=every,
@@ -174,9 +174,9 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
         filtered=_with_zero_rates_at_rest(filtered, at_rest),
         windows=tuple(windows),
         at_rest=at_rest,
-        directions=directions,
-        direction_variance=direction_variance,
-        pause_s=pause_s,
+        directions=in_play.directions,
+        direction_variance=in_play.variance,
+        pause_s=in_play.pause_s,
     )
 
 
@@ -197,9 +197,17 @@ def _count_changes(record: Recording) -> Booleans:
     return np.abs(np.diff(record.outputs, axis=0)) > 0.5 * record.resolution
 
 
-def _directions_in_play(record: Recording, nodes: Integers) -> tuple[Floats, Floats, Floats]:
+class _PositionsInPlay(NamedTuple):
+    """`directions`, `direction_variance` and `pause_s` of a ReferenceTrajectory, shape (n, m) each."""
+
+    directions: Floats
+    variance: Floats
+    pause_s: Floats
+
+
+def _positions_in_play(record: Recording, nodes: Integers) -> _PositionsInPlay:
     """Estimate the position of each output within its play, from the directions in which its count moved.
-    Shapes: `nodes` (n,); returns `directions` (n, m), `variance` (n, m), `pause_s` (n, m).
+    Shapes: `nodes` (n,).
     """
     # The position is 1 or -1, the direction of the last move, while the count changes. If an axis reverses,
     # its position changes with the square of the time since the count stopped. If the count rests for long
@@ -221,6 +229,7 @@ def _directions_in_play(record: Recording, nodes: Integers) -> tuple[Floats, Flo
         pause_rows = moves[following] - moves[last]
         # Share of the pause that has passed, 0 to 1.
         share = (nodes - moves[last] - 0.5) / pause_rows
+        # Change of the direction from the last move to the next; 0 if the axis goes on as before.
         reversal = signs[following] - signs[last]
         # The axis moves slowly into the play and fast back: s^2 (1 - s) is at most 1 / 6.75.
         excursion = _RETURN_SHARE * 6.75 * share**2 * (1.0 - share)
@@ -229,7 +238,7 @@ def _directions_in_play(record: Recording, nodes: Integers) -> tuple[Floats, Flo
             signs[last] + reversal * share**2 - np.where(returns, signs[last] * excursion, 0.0)
         )
         pause_s[:, axis] = pause_rows * record.step_s
-    return directions, (1.0 - directions**2) / 3.0, pause_s
+    return _PositionsInPlay(directions, variance=(1.0 - directions**2) / 3.0, pause_s=pause_s)
 
 
 def _at_rest(record: Recording, nodes: Integers) -> Booleans:

@@ -83,11 +83,12 @@ def quantisation_scatter(
             # start threads of the linear algebra, which cost more here than they save.
             normal = np.einsum("tai,taj->ij", weighted_jacobian[:, :, :state_count], weighted_jacobian)
             gradient = np.einsum("pta,tai->pi", errors * scale[:, 0], weighted_jacobian)
-            # Eliminate the initial state of the window (Schur complement).
+            # Eliminate the initial state of the window (Schur complement); the parameters' score remains.
             response = np.linalg.pinv(normal[:, :state_count], hermitian=True) @ normal[:, state_count:]
             score = gradient[:, state_count:] - gradient[:, :state_count] @ response
             scores[:, problem.columns[index]] += score
     prior_information = np.diag(1.0 / problem.parameter_vector.std**2)
+    # A Gauss-Newton step is covariance @ score, so that this is the covariance of the steps.
     scatter = covariance @ (scores.T @ scores / DITHER_PHASES + prior_information) @ covariance
     return np.sqrt(np.diag(scatter))
 
@@ -223,10 +224,11 @@ def normalised(residual: Floats) -> float:
 
 
 def correlation_at(residual: Floats, windows: Sequence[slice], lag: int) -> tuple[Floats, float]:
-    """Compute the autocorrelation of the residuals at one lag, and its bound for white residuals. Shapes:
-    `residual` (m, 3); returns `correlation` (3,).
+    """Compute the autocorrelation of the residuals at one lag, shape (3,), and its bound for white residuals,
+    three standard errors. Shapes: `residual` (m, 3).
     """
     covariance = autocovariance(residual, windows, lag)
+    # Pairs of residuals that do not overlap: only these are independent.
     pairs = sum(max(0, window.stop - window.start - lag) for window in windows) / lag
-    result: Floats = covariance[lag] / np.maximum(covariance[0], 1e-30)
-    return result, 3.0 / float(np.sqrt(max(pairs, 1.0)))
+    correlation: Floats = covariance[lag] / np.maximum(covariance[0], 1e-30)
+    return correlation, 3.0 / float(np.sqrt(max(pairs, 1.0)))

@@ -120,8 +120,8 @@ def advance_rates(linearised: LinearisedFlight) -> Floats:
             trajectory.parameters,
             functions.free,
         )
-        along, *_ = functions.along(replace(trajectory, inputs=acting.mean[reference.rows]))
-        return np.asarray(along[:, :, 0], float)
+        along = functions.along(replace(trajectory, inputs=acting.mean[reference.rows]))
+        return np.asarray(along.rates[:, :, 0], float)
 
     return (rates(high) - rates(low))[:, :, None] / (high - low)
 

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats, Integers
@@ -14,6 +14,13 @@ from heli_host.data.arrays import Floats, Integers
 from heli_lab.fit.free_run import Inputs, VoltageDerivative
 from heli_lab.fit.records import Record
 from heli_lab.fit.thresholds import BLOCK_S
+
+
+class VoltageDelay(NamedTuple):
+    """Delay of the voltages before they act, and the parameter that it is the value of."""
+
+    parameter: str
+    value_s: float
 
 
 @dataclass(frozen=True)
@@ -66,7 +73,9 @@ class Grid:
 
 
 def split_into_windows(record: Record, window_s: float, every: int, parts: int = 1) -> list[tuple[int, int]]:
-    """Split each free segment of a flight into windows of about equal length."""
+    """Split each free segment of a flight into windows of about equal length, and each window into parts;
+    return the first row and the number of rows of each part.
+    """
     windows = []
     for start, stop in record.segments:
         steps = (stop - start) // every
@@ -91,17 +100,17 @@ def make_grid(
     every: int,
     *,
     longest_step_s: float = 0.01,
-    delay: tuple[str, float] | None = None,
+    delay: VoltageDelay | None = None,
     dead_zone_V: float | None = None,
 ) -> Grid:
-    """Divide windows of a flight into steps, and average the voltages over each step. Shapes: `delay` (str,
-    float).
+    """Divide windows of a flight into steps, and average the voltages over each step. A window is given by
+    its first row and its number of rows.
     """
     rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(
         np.int64
     )
     step_s = record.step_s * every
-    volts_V, delay_s = record.voltages_V, 0.0 if delay is None else delay[1]
+    volts_V, delay_s = record.voltages_V, 0.0 if delay is None else delay.value_s
     derivatives: list[VoltageDerivative] = []
     averages_voltages = every > 1 or record.advance_rows > 0.0
     if dead_zone_V is not None and averages_voltages:
@@ -121,7 +130,7 @@ def make_grid(
         )
         derivatives.append(
             VoltageDerivative(
-                parameter=delay[0],
+                parameter=delay.parameter,
                 of_mean=(mean_later - mean_earlier) / record.step_s,
                 of_change=(change_later - change_earlier) / record.step_s,
             )
@@ -162,10 +171,8 @@ class WindowGrids:
         every = math.lcm(self._rows_per_coarse_step(record), rows_per_block)
         return split_into_windows(record, self.window_s, every, self.parts)
 
-    def grid(
-        self, index: int, fine: bool, delay: tuple[str, float] | None, dead_zone_V: float | None
-    ) -> Grid:
-        """Return the grid of one flight, which is computed at its first use. Shapes: `delay` (str, float).
+    def grid(self, index: int, fine: bool, delay: VoltageDelay | None, dead_zone_V: float | None) -> Grid:
+        """Return the grid of one flight, which is computed at its first use.
 
         The coarse and the fine grid have the same windows.
         """

@@ -341,13 +341,12 @@ class _Ensemble:
         torque about each axis, (k, states, 3).
         """
         h = self._filtered.step_s
-        rates, jacobian, by_torque, *_ = self._twin.functions_without_derivatives.along(
-            self._trajectory(0.5 * h)
-        )
-        phi, gamma = _kalman.midpoint(jacobian, h)
+        middle = self._twin.functions_without_derivatives.along(self._trajectory(0.5 * h))
+        by_torque = middle.by_disturbance
+        phi, gamma = _kalman.midpoint(middle.by_state, h)
         torque_Nm = self._steady_Nm + self._gust_Nm
         # k numbers the forecasts, i and j the rows and columns of their matrices.
-        driven_rates = rates[:, :, 0] + np.einsum("kij,kj->ki", by_torque, torque_Nm)
+        driven_rates = middle.rates[:, :, 0] + np.einsum("kij,kj->ki", by_torque, torque_Nm)
         self._states = self._states + np.einsum("kij,kj->ki", gamma, driven_rates)
         if self._twin.resets is not None:
             (reset,) = self._twin.resets(self._trajectory(h))

@@ -167,14 +167,13 @@ class KalmanFilter:
         """Predict over a step that begins at `t_s`, with the mean acting voltages `volts_V`, (2,)."""
         twin, nx, h = self.twin, self._nx, self.step_s
         # Derivatives of the rates at the middle of the step, in arrays whose first index is the only point.
-        midpoint = twin.at(t_s + 0.5 * h, self.state, volts_V, h)
-        rates, jacobian, by_torque, by_volts, _, _ = twin.functions.along(midpoint)
-        phi, gamma = (matrices[0] for matrices in _kalman.midpoint(jacobian, h))
-        state_by_torque = gamma @ by_torque[0]
+        middle = twin.functions.along(twin.at(t_s + 0.5 * h, self.state, volts_V, h))
+        phi, gamma = (matrices[0] for matrices in _kalman.midpoint(middle.by_state, h))
+        state_by_torque = gamma @ middle.by_disturbance[0]
         state_by_parameter = np.empty((nx, self._parameter_sensitivity.shape[1]))
         # The functions return the negative derivative of the rates by a parameter.
-        state_by_parameter[:, :-1] = -gamma @ rates[0, :, 1:]
-        state_by_parameter[:, -1] = -gamma @ (by_volts[0] @ volts_V)
+        state_by_parameter[:, :-1] = -gamma @ middle.rates[0, :, 1:]
+        state_by_parameter[:, -1] = -gamma @ (middle.by_input[0] @ volts_V)
         # Dry friction has the sign of the rate. The mean sign of an uncertain rate is smaller than one.
         rate_std_rad_s = np.linalg.norm(self._root[_RATES], axis=1)
         for column, axis in twin.frictions:
@@ -189,7 +188,7 @@ class KalmanFilter:
         np.fill_diagonal(transition[nx:, nx:], self._autocorrelation[nx:])
         predicted = (
             self.state
-            + gamma @ rates[0, :, 0]
+            + gamma @ middle.rates[0, :, 0]
             + state_by_torque @ self.torque_Nm
             + state_by_error @ self.mean[self._errors]
         )
@@ -198,7 +197,7 @@ class KalmanFilter:
         if twin.resets is not None:
             (reset,) = twin.resets(twin.at(t_s + h, predicted, volts_V, h))
             self.mean[:nx] = reset[0, :, 0]
-        self._propagate_root(transition, gamma @ by_volts[0], volts_V)
+        self._propagate_root(transition, gamma @ middle.by_input[0], volts_V)
         self._parameter_sensitivity = transition @ self._parameter_sensitivity
         self._parameter_sensitivity[:nx] += state_by_parameter
         self._transition = transition @ self._transition

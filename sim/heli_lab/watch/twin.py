@@ -632,12 +632,11 @@ class _Ghost:
             self._zero_rad = np.vstack((self._zero_rad[newest], zero_rad))
         self._steps += 1
         twin, h = self._twin, self._step_s
-        rates, jacobian, by_torque, _, _, _ = twin.functions_without_derivatives.along(
-            twin.at(t_s + 0.5 * h, self._runs, volts_V, h)
-        )
-        _, gamma = _kalman.midpoint(jacobian, h)
+        middle = twin.functions_without_derivatives.along(twin.at(t_s + 0.5 * h, self._runs, volts_V, h))
+        _, gamma = _kalman.midpoint(middle.by_state, h)
         # k numbers the runs, i and j the rows and columns of their matrices.
-        rates_with_torque = rates[:, :, 0] + np.einsum("kij,kj->ki", by_torque, self._torque_Nm)
+        torque_rates = np.einsum("kij,kj->ki", middle.by_disturbance, self._torque_Nm)
+        rates_with_torque = middle.rates[:, :, 0] + torque_rates
         self._runs = self._runs + np.einsum("kij,kj->ki", gamma, rates_with_torque)
 
     @property

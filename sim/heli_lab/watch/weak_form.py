@@ -328,19 +328,18 @@ class FlightInWeakForm:
         voltages = self._acting_voltages(part, unknowns[VOLTAGE_FACTOR], unknowns[_LAG])
         states = np.hstack((self._pivot + deflections, rates))
         trajectory = Trajectory(part.t_s, states, voltages.values, part.step_s, parameters)
-        # Shapes (n, states, 1 + parameters), (n, states, states) and (n, states, 2).
-        value, by_state, _, by_volts, *_ = self._functions.along(trajectory)
+        at = self._functions.along(trajectory)
         # The states are three angles and three rates; the derivative of a rate is an acceleration.
         rows, angle_columns, rate_columns = slice(3, 6), slice(0, 3), slice(3, 6)
-        by_angles, by_rates = by_state[:, rows, angle_columns], by_state[:, rows, rate_columns]
+        by_angles, by_rates = at.by_state[:, rows, angle_columns], at.by_state[:, rows, rate_columns]
         by_scales = -by_angles * deflections[:, None] - by_rates * rates[:, None]
         # Products of (n, 3, 2) by (n, 2, 2): by the factor on the voltages, and by the lag.
-        by_factor_and_lag = by_volts[:, rows] @ voltages.derivatives
+        by_factor_and_lag = at.by_input[:, rows] @ voltages.derivatives
         by_zeros = -by_angles[:, :, :2] / scales[:2]
         # The functions give negative derivatives by the parameters.
-        by_parameters = -value[:, rows, 1:]
+        by_parameters = -at.rates[:, rows, 1:]
         derivatives = np.concatenate((by_scales, by_factor_and_lag, by_zeros, by_parameters), axis=2)
-        return _Accelerations(value[:, rows, 0], derivatives)
+        return _Accelerations(at.rates[:, rows, 0], derivatives)
 
     def _acting_voltages(self, part: Part, log_factor: float, lag_s: float) -> _ActingVoltages:
         """Return the lagged voltages times the unknown factor; below the dead zone, those of its edge act."""
