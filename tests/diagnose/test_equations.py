@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from heli_host.data.log.table import write_csv
 from heli_lab.diagnose import to_json
-from heli_lab.explain.candidates import Candidate, ExtendedModel, typical_candidate
+from heli_lab.explain.candidates import Candidate, CandidateSignals, ExtendedModel, typical_candidate
 from heli_lab.explain.comparison import Hypothesis, ModelComparison
 from heli_lab.explain.proposal import effect_file, expression
 from heli_lab.explain.regression import (
@@ -360,7 +360,8 @@ def test_scores_of_all_channels_are_those_of_the_effect_itself() -> None:
         (flight,) = signals.linearised_flights
         rates, _ = extended.run(flight.trajectory, effect.values)
         _, angles = extended.run(flight.nodes, effect.values)
-        (statistics,) = screening.information([(rates, angles if np.any(angles) else None)], [1])
+        change = CandidateSignals(rates, angles if np.any(angles) else None)
+        (statistics,) = screening.information([change], [1])
         gain, coefficients, _ = score_of(*statistics, np.array(scored.prior_std))
         assert scored.log_likelihood_gain == pytest.approx(gain, rel=1e-6), term.key
         assert scored.coefficients == pytest.approx(coefficients, rel=1e-6)

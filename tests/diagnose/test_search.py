@@ -20,6 +20,7 @@ from heli_lab.explain.forward import (
     ForwardSelection,
     Progress,
     RoundRefits,
+    Selection,
     better_rival,
     is_neutral,
     is_resolved,
@@ -541,11 +542,13 @@ def searched(monkeypatch: pytest.MonkeyPatch, kept: list[str]) -> tuple[tuple[st
     # The selection adds a play first; it hides a lag until held-out flights contradict it.
     starts: list[str] = []
 
-    def select(forward: Any, start: Hypothesis) -> tuple[Hypothesis, None, bool]:
+    def select(forward: Any, start: Hypothesis) -> Selection:
         starts.append(" ".join(start.ids))
         if "backlash.pitch" not in forward.excluded_ids:
-            return stepwise_hypothesis("backlash.pitch"), None, True
-        return (start if start.ids else stepwise_hypothesis("rotor_lag")), None, True
+            selected = stepwise_hypothesis("backlash.pitch")
+        else:
+            selected = start if start.ids else stepwise_hypothesis("rotor_lag")
+        return Selection(selected, cast(Any, None), complete=True)
 
     def eliminate(backward: Any, final: Hypothesis) -> tuple[Hypothesis, list[str]]:
         backward.contradicted_ids |= set(final.ids) - set(kept)

@@ -38,6 +38,7 @@ from heli_lab.explain.verdict import (
     prior_conflicts,
     tried_without,
 )
+from heli_lab.fit.parameters import ValueAndStd
 from heli_lab.fit.records import prepare
 from heli_lab.report.diagnosis.text import cautions, lines, prior_conflict_sentence, thrust_noise_in_words
 from heli_sim.model import MultibodyModel
@@ -290,7 +291,7 @@ def test_held_out_flights_make_a_small_friction_present() -> None:
     )
     (term,) = absent_terms(fit, rig, KINDS)
     assert term.id == "removed.friction.travel"
-    joint = {"friction_travel": (0.02 * friction, 0.003 * friction)}
+    joint = {"friction_travel": ValueAndStd(0.02 * friction, 0.003 * friction)}
     assert absent_terms(fit, rig, KINDS, joint) == ()
 
 

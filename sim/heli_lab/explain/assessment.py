@@ -21,7 +21,7 @@ from heli_sim.model.effects.spec import EffectSpec
 from heli_sim.rig import Rig
 
 from heli_lab.explain import thresholds
-from heli_lab.explain.candidates import ScoredCandidate, may_join
+from heli_lab.explain.candidates import CandidateSignals, ScoredCandidate, may_join
 from heli_lab.explain.comparison import Alternative, Cause, Hypothesis, ModelComparison, Refit
 from heli_lab.explain.forward import Acceptance
 from heli_lab.explain.prediction import Prediction, normalised_samples, predict
@@ -37,6 +37,7 @@ from heli_lab.explain.verdict import (
     prior_conflicts,
 )
 from heli_lab.fit.flight_model import GAINS
+from heli_lab.fit.parameters import ValueAndStd
 from heli_lab.fit.problem import Fit
 from heli_lab.fit.records import Record
 from heli_lab.fit.voltage_timing import (
@@ -66,19 +67,19 @@ def absent_terms(
     fit: Fit,
     rig: Rig,
     kinds: Mapping[str, EffectSpec],
-    on_all_flights: Mapping[str, tuple[float, float]] | None = None,
+    on_all_flights: Mapping[str, ValueAndStd] | None = None,
 ) -> tuple[AbsentTerm, ...]:
     """Find terms whose parameters are zero within their standard errors."""
     # `on_all_flights`: Estimates with their standard errors that held-out flights have made more precise.
     joint = on_all_flights or {}
-    values = {**fit.params, **{name: value for name, (value, _) in joint.items()}}
-    reported_std = {**fit.std, **{name: std for name, (_, std) in joint.items()}}
+    values = fit.params | {name: estimate.value for name, estimate in joint.items()}
+    reported_std = fit.std | {name: estimate.std for name, estimate in joint.items()}
     terms = []
     for id_, kind in kinds.items():
         names = [name for name in kind.override if name in values and rig[name].value > 0.0]
         if not kind.baseline or not names:
             continue
-        # Estimates and standard errors in units of the rig file's values.
+        # Estimates and standard errors in units of the rig file's values, one per parameter of the term.
         nominal = np.array([rig[name].value for name in names])
         is_zero = [name in fit.at_bound and name not in joint for name in names]
         relative = np.where(is_zero, 0.0, np.maximum([values[name] for name in names], 0.0)) / nominal
@@ -88,11 +89,12 @@ def absent_terms(
         if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
             continue
         std = np.maximum(relative_std, thresholds.ABSENT_MIN_STD)
+        first_relative, first_std = float(relative[0]), float(std[0])
         terms.append(
             AbsentTerm(
                 id_,
-                share=min(max(1.0 - float(relative[0]), 0.0), 1.0),
-                std=float(std[0]),
+                share=min(max(1.0 - first_relative, 0.0), 1.0),
+                std=first_std,
                 confidence=confidence,
                 z_from_zero=float(np.max(np.abs(relative) / std)),
                 z_from_rig=float(np.min((1.0 - relative) / std)),
@@ -332,7 +334,7 @@ def estimated_advance(screenings: Sequence[Screening], loop_Hz: float | None) ->
             assert isinstance(record, Record)
             is_slow = may_be_slower(record, loop_Hz)
             slow_records += [record] * is_slow
-            signals.append((advance_rates(flight) * is_slow, None))
+            signals.append(CandidateSignals(advance_rates(flight) * is_slow, measured_rad=None))
         (statistics,) = screening.information(signals, [1])
         score, information = score + float(statistics.score[0]), information + statistics.information.item()
     first = slow_records[0]

@@ -30,6 +30,23 @@ from heli_lab.fit.flight_model import known_directions, model_along
 from heli_lab.fit.linearised_flight import LinearisedFlight
 
 
+class SplineDependence(NamedTuple):
+    """A channel, such as ``torque.pitch``, and a quantity that it depends on, such as ``elevation``."""
+
+    channel: str
+    quantity: str
+
+
+def channel_kind(channel: str) -> str:
+    """Return the kind of a `channel`: ``torque``, ``thrust``, ``voltage`` or ``measurement``."""
+    return channel.partition(".")[0]
+
+
+def channel_place(channel: str) -> str:
+    """Return the axis or the rotors of a `channel`: ``pitch`` of ``torque.pitch``."""
+    return channel.partition(".")[2]
+
+
 @dataclass(frozen=True)
 class Candidate:
     """An effect or spline term that may be added to the model, at one point of its grid."""
@@ -59,10 +76,10 @@ class Candidate:
         return self.id.startswith("spline:")
 
     @property
-    def dependence(self) -> tuple[str, str]:
-        """Channel and quantity of a spline term, such as ``torque.pitch`` and ``elevation``."""
+    def dependence(self) -> SplineDependence:
+        """Channel and quantity of a spline term."""
         _, channel, quantity = self.id.split(":")
-        return channel, quantity
+        return SplineDependence(channel, quantity)
 
     def start_values(self, coefficients: Floats) -> dict[str, float]:
         """Start values of a fit, by full name, within the priors' bounds; `coefficients` are those that a
@@ -149,20 +166,27 @@ def _static_thrust_N(at: Operands) -> ca.SX:
     return static_thrust_N(at.volts_V, p["thrust_gain"], p["dead_zone"], p["reverse_thrust"])
 
 
-QUANTITIES: Final[Mapping[str, tuple[_Expression, str]]] = {
-    "elevation": (_state("elevation_rad"), "rad"),
-    "pitch": (_state("pitch_rad"), "rad"),
-    "travel": (_state("travel_rad"), "rad"),
-    "elevation_rate": (_state("elevation_rate_rad_s"), "rad/s"),
-    "pitch_rate": (_state("pitch_rate_rad_s"), "rad/s"),
-    "travel_rate": (_state("travel_rate_rad_s"), "rad/s"),
-    "thrust": (lambda at: ca.sum1(_static_thrust_N(at)), "N"),
-    "thrust_difference": (lambda at: _static_thrust_N(at)[0] - _static_thrust_N(at)[1], "N"),
-    "front_thrust": (lambda at: _static_thrust_N(at)[0], "N"),
-    "back_thrust": (lambda at: _static_thrust_N(at)[1], "N"),
-    "time": (lambda at: at.time_s, "s"),
+class SplineQuantity(NamedTuple):
+    """A quantity that a spline term may depend on."""
+
+    expression: _Expression
+    unit: str  # SI unit
+
+
+QUANTITIES: Final[Mapping[str, SplineQuantity]] = {
+    "elevation": SplineQuantity(_state("elevation_rad"), "rad"),
+    "pitch": SplineQuantity(_state("pitch_rad"), "rad"),
+    "travel": SplineQuantity(_state("travel_rad"), "rad"),
+    "elevation_rate": SplineQuantity(_state("elevation_rate_rad_s"), "rad/s"),
+    "pitch_rate": SplineQuantity(_state("pitch_rate_rad_s"), "rad/s"),
+    "travel_rate": SplineQuantity(_state("travel_rate_rad_s"), "rad/s"),
+    "thrust": SplineQuantity(lambda at: ca.sum1(_static_thrust_N(at)), "N"),
+    "thrust_difference": SplineQuantity(lambda at: _static_thrust_N(at)[0] - _static_thrust_N(at)[1], "N"),
+    "front_thrust": SplineQuantity(lambda at: _static_thrust_N(at)[0], "N"),
+    "back_thrust": SplineQuantity(lambda at: _static_thrust_N(at)[1], "N"),
+    "time": SplineQuantity(lambda at: at.time_s, "s"),
 }
-"""Quantities that a spline term may depend on, by name: expression and unit."""
+"""Quantities that a spline term may depend on, by name."""
 
 SPLINE_CHANNELS: Final = (
     *(f"torque.{axis}" for axis in AXES),
@@ -188,9 +212,9 @@ class SplineTerm(Effect):
     def _curve(self, at: Operands) -> ca.SX:
         """Return the value of the curve: the sum of coefficients times basis functions."""
         p = at.parameter
-        quantity, _ = QUANTITIES[self.on]
+        quantity = QUANTITIES[self.on].expression(at)
         # Position along the curve in units of the knots' distance; basis function i has its centre at i.
-        position = 1.0 + (quantity(at) - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
+        position = 1.0 + (quantity - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
         position = ca.fmin(ca.fmax(position, 1.0), KNOTS - 2.0)
         return sum((p[f"{self.name}_{i}"] * bspline(position - i) for i in range(KNOTS)), ca.SX(0))
 
@@ -229,8 +253,8 @@ def bspline(distance: ca.SX) -> ca.SX:
 def spline_term(channel: str, on: str, low: float, step: float, number: int = 0) -> SplineTerm:
     """Make a spline term with all coefficients at 0."""
     name = f"spline{number}"
-    unit, std = _UNIT_AND_STD[channel.partition(".")[0]]
-    _, quantity_unit = QUANTITIES[on]
+    unit, std = _UNIT_AND_STD[channel_kind(channel)]
+    quantity_unit = QUANTITIES[on].unit
     coefficients = [Quantity(f"{name}_{i}", unit, f"coefficient {i} of the curve") for i in range(KNOTS)]
     knots = [
         Quantity(f"{name}_low", quantity_unit, "second knot of the curve, where it begins"),
@@ -247,8 +271,11 @@ def spline_term(channel: str, on: str, low: float, step: float, number: int = 0)
 
 
 def knot_span(values: Floats) -> tuple[float, float]:
-    """Place the knots of a curve over the range of a quantity's `values`, shape (n,)."""
+    """Place the knots of a curve over the range of a quantity's `values`, shape (n,); return the second knot,
+    where the curve begins, and the distance of the knots.
+    """
     low, high = np.quantile(values, [_TAIL_SHARE, 1.0 - _TAIL_SHARE])
+    # The curve runs from the second knot to the last but one.
     step = max(float(high - low), 1e-9) / (KNOTS - 3)
     return float(low), step
 
@@ -266,7 +293,7 @@ def quantity_values(model: Model, trajectory: Trajectory) -> dict[str, Floats]:
 
     def quantities(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> list[ca.SX]:
         operands = model.operands(x, u, p, t)
-        return [ca.vertcat(*(expression(operands) for expression, _ in QUANTITIES.values()))]
+        return [ca.vertcat(*(quantity.expression(operands) for quantity in QUANTITIES.values()))]
 
     (values,) = model_along(model, quantities)(trajectory)
     return dict(zip(QUANTITIES, values[:, :, 0].T, strict=True))

@@ -43,8 +43,8 @@ from heli_lab.fit.linearised_flight import LinearisedFlight
 
 
 def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats, Floats]:
-    """Compute the acceleration that an effect contributes along the filtered trajectory of a flight. Returns
-    shape `t_s` (n,), `change_rad_s2` (n, 3).
+    """Compute the acceleration that an effect contributes along the filtered trajectory of a flight; return
+    the times, shape (n,), and the accelerations at them, shape (n, 3).
     """
     linear = estimate.filtered().linearised_flights[index]
     model = linear.model.source
@@ -57,7 +57,9 @@ def accelerations(estimate: Estimate, name: str, index: int = 0) -> tuple[Floats
         reduced_x = ca.vertcat(*(x[states.index(state.name)] for state in reduced_model.states))
         reduced_p = ca.vertcat(*(p[names.index(q.name)] for q in reduced_model.parameters))
         reduced_rates = reduced_model.dynamics(reduced_x, u, reduced_p, t)
-        return [model.dynamics(x, u, p, t)[3:6] - reduced_rates[3:6]]
+        # The states are three angles and three rates; the derivative of a rate is an acceleration.
+        accelerations = slice(3, 6)
+        return [model.dynamics(x, u, p, t)[accelerations] - reduced_rates[accelerations]]
 
     (values,) = model_along(model, change_rad_s2)(linear.trajectory)
     return linear.trajectory.t_s, np.ascontiguousarray(values[:, :, 0])
@@ -83,7 +85,7 @@ def quantities_and_thrust_changes(linear: LinearisedFlight) -> dict[str, Floats]
 
 def quantity_unit(name: str) -> str:
     """Return the SI unit of the quantity `name` of `quantities_and_thrust_changes`."""
-    return "N" if name.startswith(_THRUST_CHANGE) else QUANTITIES[name][1]
+    return "N" if name.startswith(_THRUST_CHANGE) else QUANTITIES[name].unit
 
 
 def best_quantity(
@@ -116,7 +118,7 @@ def explained_share(values: Floats, fitted: Floats) -> float:
 def _share_of_curve(quantity: Floats, contribution: Floats) -> float:
     """Return the share of a contribution (n,) that a spline curve over one quantity (n,) explains."""
     basis = bspline_basis(quantity, *knot_span(quantity))
-    coefficients = np.linalg.lstsq(basis, contribution, rcond=None)[0]
+    coefficients, *_ = np.linalg.lstsq(basis, contribution, rcond=None)
     return explained_share(contribution, basis @ coefficients)
 
 
@@ -197,7 +199,7 @@ def missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> Mi
     missing, missing_covariance = _spline_coefficients(reduced_screening, candidate)
     remaining, _ = _spline_coefficients(screening, candidate)
     flight_basis = bspline_basis(quantity, low, step)
-    contribution = np.linalg.lstsq(flight_basis, contribution_rad[:, axis], rcond=None)[0]
+    contribution, *_ = np.linalg.lstsq(flight_basis, contribution_rad[:, axis], rcond=None)
 
     curve_points = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
     basis = bspline_basis(curve_points, low, step)
@@ -453,7 +455,7 @@ def _spline_curve(effect: SplineTerm, estimate: Estimate) -> SplineCurve:
     variance = np.einsum("ni,ij,nj->n", basis, covariance, basis)
     unit = next(q.unit for q in effect.parameters if q.name == f"{effect.name}_0")
     factor, value_unit = display_unit(unit)
-    quantity_factor, quantity_unit = display_unit(QUANTITIES[effect.on][1])
+    quantity_factor, quantity_unit = display_unit(QUANTITIES[effect.on].unit)
     return SplineCurve(
         channel=effect.channel,
         on=effect.on,

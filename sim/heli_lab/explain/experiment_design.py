@@ -323,7 +323,7 @@ def propose_experiment(
 def _wider_range(search: Search, assessment: Assessment) -> ExperimentDesign:
     """Compose a flight over a wider range of the quantities on which the missing term depends."""
     unlisted = assessment.verdict.unlisted
-    quantities = {cause.candidate.dependence[1] for cause in unlisted}
+    quantities = {cause.candidate.dependence.quantity for cause in unlisted}
     parts = {part for part in ("travel", "elevation", "time") if any(part in name for name in quantities)}
     if any("thrust" in name for name in quantities) or not quantities:
         parts.add("motors")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
@@ -314,6 +314,14 @@ def better_rival(comparison: ModelComparison, best: Refit, accepted: Sequence[Re
     return max(rivals, key=on_all_flights)
 
 
+class Selection(NamedTuple):
+    """Result of a forward selection."""
+
+    hypothesis: Hypothesis  # The model with the added causes
+    screening: Screening  # Scores of candidates about that model
+    complete: bool  # Whether no limit ended the selection
+
+
 @dataclass
 class ForwardSelection:
     """Adds causes to a model, one per round, until no candidate is accepted."""
@@ -325,8 +333,8 @@ class ForwardSelection:
     excluded_ids: Collection[str] = ()  # Ids of candidates that are not tried
     rounds: list[Round] = field(default_factory=list)  # The rounds so far
 
-    def select(self, hypothesis: Hypothesis) -> tuple[Hypothesis, Screening, bool]:
-        """Add causes to a `hypothesis`."""
+    def select(self, hypothesis: Hypothesis) -> Selection:
+        """Add causes to a `hypothesis`, one per turn of the loop."""
         while True:
             number = len(self.rounds)
             self.progress.round(number)
@@ -356,6 +364,7 @@ class ForwardSelection:
                 round_refits.refit_effects(screening)
                 better_base = round_refits.better_base()
                 if better_base is not None:
+                    # Begin the round again from the better estimate.
                     hypothesis = better_base
                     continue
                 round_refits.refit_without_terms(absent_terms)
@@ -364,7 +373,7 @@ class ForwardSelection:
             accepted_id = accepted.candidate.id if accepted else ""
             self.rounds.append(Round(hypothesis, tuple(screened), tuple(splines), tuple(refits), accepted_id))
             if accepted is None:
-                return hypothesis, screening, not is_full and self.progress.refits_left()
+                return Selection(hypothesis, screening, not is_full and self.progress.refits_left())
             self.progress.accepted += 1
             hypothesis = accepted.hypothesis
 
@@ -476,7 +485,7 @@ class RoundRefits:
             return best
         spline_refit = self._refit(splines[0])
         if spline_refit.margin > required_margin:
-            channel, _ = splines[0].candidate.dependence
+            channel = splines[0].candidate.dependence.channel
             on_channel = [
                 scored
                 for scored in self.screened
@@ -506,9 +515,10 @@ def refit_on_grid(
     comparison: ModelComparison, acceptance: Acceptance, base: Hypothesis, scored: ScoredCandidate
 ) -> Refit:
     """Refit a model with one more candidate; search the grid of a parameter that has no prior."""
-    (nearest,), *directions = _grid_neighbours(scored, acceptance.kinds)
-    best = comparison.refit([*base.candidates, nearest], nearest.start_values(scored.coefficients), base)
-    for neighbours in directions:
+    grid = _grid_neighbours(scored, acceptance.kinds)
+    start = grid.nearest.start_values(scored.coefficients)
+    best = comparison.refit([*base.candidates, grid.nearest], start, base)
+    for neighbours in (grid.larger, grid.smaller):
         for candidate in neighbours:
             grid_values = {name: candidate.effect.values[name] for name in candidate.grid}
             start = {**best.params, **grid_values}
@@ -581,14 +591,24 @@ def _typical_proposals(
     return proposals
 
 
-def _grid_neighbours(scored: ScoredCandidate, kinds: Mapping[str, EffectSpec]) -> list[list[Candidate]]:
-    """Return the neighbours of a candidate on the grid of a parameter without a prior."""
-    # The lists have the nearest grid point, the points of larger values, and those of smaller values, each
-    # from the nearest on. Without exactly one such parameter, there is one list with the candidate.
+class _GridNeighbours(NamedTuple):
+    """A candidate at its nearest grid point, and at those of larger and of smaller values, each from the
+    nearest on.
+    """
+
+    nearest: Candidate
+    larger: list[Candidate]
+    smaller: list[Candidate]
+
+
+def _grid_neighbours(scored: ScoredCandidate, kinds: Mapping[str, EffectSpec]) -> _GridNeighbours:
+    """Return the neighbours of a candidate on the grid of a parameter without a prior; without exactly one
+    such parameter, it has no neighbours.
+    """
     candidate, kind = scored.candidate, kinds.get(scored.candidate.id)
     grid_only = [name for name in candidate.grid if name not in candidate.effect.priors]
     if kind is None or len(grid_only) != 1:
-        return [[candidate]]
+        return _GridNeighbours(candidate, [], [])
     (name,) = grid_only
     values = kind.grid_values(1.0)[name]
     nearest = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
@@ -602,12 +622,11 @@ def _grid_neighbours(scored: ScoredCandidate, kinds: Mapping[str, EffectSpec]) -
             {**candidate.grid, name: value},
         )
 
-    larger, smaller = values[nearest + 1 :], values[:nearest][::-1]
-    return [
-        [candidate_at(values[nearest])],
-        [candidate_at(value) for value in larger],
-        [candidate_at(value) for value in smaller],
-    ]
+    return _GridNeighbours(
+        candidate_at(values[nearest]),
+        larger=[candidate_at(value) for value in values[nearest + 1 :]],
+        smaller=[candidate_at(value) for value in values[:nearest][::-1]],
+    )
 
 
 def _acts_on(kind: EffectSpec, channel: str) -> bool:

@@ -27,6 +27,7 @@ from heli_lab.explain.comparison import split
 from heli_lab.explain.thresholds import CALIBRATE_SHARE, OUTSIDE_SHARE, VOLTAGE_TAIL, CALIBRATE_s
 from heli_lab.fit.estimator import Estimate
 from heli_lab.fit.identification import trace
+from heli_lab.fit.parameters import ValueAndStd
 from heli_lab.fit.problem import Fit, Problem, flight_constants
 from heli_lab.fit.records import Record
 from heli_lab.fit.shooting import solve
@@ -65,9 +66,9 @@ class FreeRun:
     calibrated_s: float
     """calibrated_s, evaluated_s: Duration of free flight used for the calibration, and predicted after it."""
     evaluated_s: float
-    constants: Mapping[str, tuple[float, float]]
-    """Calibrated zeros and torques by parameter name: value and standard error, in the rig file's units;
-    empty if nothing was calibrated."""
+    constants: Mapping[str, ValueAndStd]
+    """Calibrated zeros and torques by parameter name, in the rig file's units; empty if nothing was
+    calibrated."""
     priors: Mapping[str, Prior]  # Priors of the constants
     errors: Mapping[str, WindowErrors]  # Errors by horizon, a key of `HORIZONS`
     fit: Fit
@@ -88,11 +89,11 @@ def free_run(
     parameters = {**_mean_by_name(model, [model.parameter_values(rig)]), **values}
     calibration, prediction = split(record, calibrate_s)
     priors = flight_constants(model, rig, parameters)
-    constants: dict[str, tuple[float, float]] = {}
+    constants: dict[str, ValueAndStd] = {}
     if calibration.segments:
         problem = windows_problem(model, rig, parameters, [calibration], priors, threads)
         fit = solve(problem, robust=False, scatter=False, warm_start=True)
-        constants = {name: (value, fit.std[name]) for name, value in fit.params.items()}
+        constants = {name: ValueAndStd(value, fit.std[name]) for name, value in fit.params.items()}
         parameters |= fit.params
     # Equal bounds fix the constants: with the same free parameters the compiled kernel is reused.
     fixed_priors = {
@@ -405,5 +406,6 @@ def _extrapolation(
         voltages_V = record.voltages_V[rows]
         is_outside = ((voltages_V < low_V) | (voltages_V > high_V)).any(axis=1)
         if is_outside.mean() > OUTSIDE_SHARE:
-            spans_s.append((float(record.t_s[rows][0]), float(record.t_s[rows][-1])))
+            first_s, *_, last_s = record.t_s[rows].tolist()
+            spans_s.append((first_s, last_s))
     return Extrapolation(run.label, ranges_V, len(windows), tuple(spans_s))

@@ -12,6 +12,7 @@ from heli_host.data.arrays import Floats
 from heli_sim.model.effect import AXES
 from heli_sim.rig.schema import Prior
 
+from heli_lab.explain.candidates import channel_kind
 from heli_lab.explain.contributions import accelerations
 from heli_lab.explain.regression import Discovery
 from heli_lab.explain.screening import Screening
@@ -111,7 +112,7 @@ def sentence(equation: Equation, numbers: Mapping[str, float]) -> str:
     """Write an `equation` with units, such as ``torque.pitch = 0.05*elevation N m``."""
     # `numbers` has the values of its parameters by name.
     return " and ".join(
-        f"{channel} = {expression(equation, channel, numbers)} {CHANNELS[channel][0]}"
+        f"{channel} = {expression(equation, channel, numbers)} {CHANNELS[channel].unit}"
         for channel in equation.channels
     )
 
@@ -128,7 +129,8 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
         for state in effect.states
     )
     stage = effect.stage.name
-    acts_on = _ACTS_ON.get(equation.channels[0].partition(".")[0], equation.channels[0])
+    first_channel = equation.channels[0]
+    acts_on = _ACTS_ON.get(channel_kind(first_channel), first_channel)
     parameters = "".join(
         _parameter_code(
             name,
@@ -201,7 +203,7 @@ def _parameter_code(
 
 def _methods_code(equation: Equation) -> Iterator[str]:
     """Yield the Python code of the methods of the effect, by the kinds of its channels."""
-    kinds = {channel.partition(".")[0] for channel in equation.channels}
+    kinds = set(map(channel_kind, equation.channels))
 
     def by_axis(kind: str) -> str:
         """Return the code of a column with the terms about each axis."""

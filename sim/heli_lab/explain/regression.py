@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from heli_sim.model.effects import EffectSpec
 
-from heli_lab.explain.candidates import Candidate, may_join, typical_candidate
+from heli_lab.explain.candidates import Candidate, channel_place, may_join, typical_candidate
 from heli_lab.explain.comparison import Hypothesis, ModelComparison
 from heli_lab.explain.screening import Screening
 from heli_lab.explain.term_scores import (
@@ -55,6 +55,7 @@ from heli_lab.explain.thresholds import (
 )
 from heli_lab.fit.estimator import Estimate
 from heli_lab.fit.grey_box import DisturbanceModel
+from heli_lab.fit.parameters import ValueAndStd
 
 
 class EquationParameter(NamedTuple):
@@ -159,11 +160,11 @@ class RefittedEquation:
         return {q.name.removeprefix(f"{effect.prefix}_"): all_values[q.name] for q in effect.parameters}
 
     @property
-    def estimates(self) -> dict[str, tuple[float, float]]:
+    def estimates(self) -> dict[str, ValueAndStd]:
         """Value and standard error of the estimated parameters, by name without prefix."""
         prefix, std = f"{self.hypothesis.candidates[-1].effect.prefix}_", self.hypothesis.std
         return {
-            name.removeprefix(prefix): (value, std[name])
+            name.removeprefix(prefix): ValueAndStd(value, std[name])
             for name, value in self.hypothesis.params.items()
             if name.startswith(prefix)
         }
@@ -342,8 +343,7 @@ def _equation_without_term(refitted: RefittedEquation, number: int) -> _Equation
 
 def _has_sign_of_own_rate(term: EquationTerm) -> bool:
     """Whether a term about an axis contains the sign of the axis' own rate, as dry friction does."""
-    axis = term.channel.partition(".")[2]
-    return f"tanh({axis}_rate" in term.term.key
+    return f"tanh({channel_place(term.channel)}_rate" in term.term.key
 
 
 class _PossibleEffect(NamedTuple):
@@ -481,8 +481,8 @@ class ListedEffects:
 def _axes_of_equation(equation: Equation) -> set[str]:
     """Return the axes about which an equation acts directly."""
     axis_of_rotors = {"both": "elevation", "difference": "pitch", "front": "pitch", "back": "pitch"}
-    axes_or_rotors = (channel.partition(".")[2] for channel in equation.channels)
-    return {axis_of_rotors.get(name, name) for name in axes_or_rotors}
+    places = map(channel_place, equation.channels)
+    return {axis_of_rotors.get(place, place) for place in places}
 
 
 _NO_DRIFT_Nm: Final = 2e-5

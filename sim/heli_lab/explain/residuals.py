@@ -25,7 +25,14 @@ from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_sim.model.effect import AXES
 
 from heli_lab.explain import thresholds
-from heli_lab.explain.candidates import Candidate, ScoredCandidate, quantity_values, spline_candidates
+from heli_lab.explain.candidates import (
+    Candidate,
+    ScoredCandidate,
+    channel_kind,
+    channel_place,
+    quantity_values,
+    spline_candidates,
+)
 from heli_lab.explain.screening import ScoreStatistics, Screening, coefficient_std, score_of
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE, KICK_STD_ERRORS
 from heli_lab.fit.estimator import Estimate
@@ -34,6 +41,7 @@ from heli_lab.fit.innovations import (
     AuxiliaryResiduals,
     FlightErrors,
     InnovationsModel,
+    ModelErrors,
     auxiliary_residuals,
     smoothed_disturbances,
 )
@@ -176,8 +184,9 @@ def with_impulse(
         if interval < len(blocks.rows):
             drive, measured = changed[flight][number]
             drive = drive.copy()
+            # The torque acts during the first step of the block.
             drive[interval, :, 0] += blocks.part_input[0, interval, :, axis] * torque_Nm
-            changed[flight][number] = drive, measured
+            changed[flight][number] = ModelErrors(drive, measured)
             break
         interval -= len(blocks.rows)
     return changed
@@ -198,9 +207,16 @@ _RIDGE: Final = 1e-9
 """Share of the largest diagonal element that is added, because an output may not depend on a state."""
 
 
-def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> tuple[Floats, int]:
-    """Sum up the squares of the change of the outputs in all windows of a flight. Shapes: `rates` (n,
-    states); returns `squares` (m,).
+class _SquareSums(NamedTuple):
+    """Sums of the squares of each output in some rows."""
+
+    squares: Floats  # (m,)
+    rows: int
+
+
+def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> _SquareSums:
+    """Sum up the squares of the change of the outputs by additional rates, shape (n, states), in all windows
+    of a flight. Initial states and constant torques are refitted to the change.
     """
     length = max(1, round(_WINDOW_s / linear.reference.step_s))
     starts = np.array(
@@ -208,7 +224,7 @@ def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> tuple[Floats, 
     )
     outputs = len(linear.model.outputs)
     if not starts.size:
-        return np.zeros(outputs), 0
+        return _SquareSums(np.zeros(outputs), 0)
     rows = starts[:, None] + np.arange(length)
     response = _responses(linear, rows, rates) / linear.reference.record.resolution[:, None]
     # Windows, then all outputs at all steps of a window, then the signals.
@@ -220,12 +236,13 @@ def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> tuple[Floats, 
     stacked = remaining.reshape(-1, remaining.shape[2])
     constants, change = stacked[:, :outputs], stacked[:, outputs:]
     change = change - constants @ _solve(constants, change)
-    squares = np.sum(change.reshape(-1, outputs) ** 2, axis=0)
-    return squares, rows.size
+    return _SquareSums(np.sum(change.reshape(-1, outputs) ** 2, axis=0), rows.size)
 
 
 def _responses(linear: LinearisedFlight, rows: Integers, rates: Floats) -> Floats:
-    """Simulate the deviation of each window from 0, shape (windows, length, m, states + m + 1)."""
+    """Simulate the deviation of each window, shape (windows, length, m, states + m + 1): from an initial
+    state of 1, by a constant torque of 1 about each axis, and by the additional `rates`.
+    """
     steps, (windows, length), states = linear.steps, rows.shape, linear.states
     outputs = len(linear.model.outputs)
     deviation = np.zeros((windows, states, states + outputs + 1))
@@ -390,7 +407,9 @@ def _ratios_over(
 
 
 def _autocorrelation(screening: Screening) -> tuple[Floats, float]:
-    """Compute the autocorrelation of the innovations of all flights. Returns shape (lags, 3)."""
+    """Compute the autocorrelation of the innovations of all flights, shape (lags, 3), and its bound for white
+    noise, three standard errors.
+    """
     innovations = screening.filtered.innovations(screening.estimate.disturbances)
     innovation = np.concatenate([flight[:, 0] for flight in innovations.flights]).reshape(-1, 3)
     variance = np.maximum((innovation**2).mean(axis=0), 1e-12)
@@ -411,7 +430,7 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     splines = [
         candidate
         for candidate in spline_candidates(linearised_flights, _TEST_SPLINES)
-        if not candidate.dependence[0].startswith("measurement")
+        if channel_kind(candidate.dependence.channel) != "measurement"
     ]
     quantities = [quantity_values(linear.model.source, linear.trajectory) for linear in linearised_flights]
     scales = {name: _scale([values[name] for values in quantities]) for name in _PRODUCTS}
@@ -476,11 +495,12 @@ def _change_counts(test: _Test, coefficients: Floats, screenings: Sequence[Scree
             if isinstance(test.source, Candidate):
                 rates = regressors.spline_signals(test.source).rates @ coefficients
             else:
-                axis = AXES.index(test.name.partition(" ")[0].rpartition(".")[2])
+                channel, _, _ = test.name.partition(" on ")
+                axis = AXES.index(channel_place(channel))
                 torque_Nm = test.source[flight] @ coefficients
                 rates = linear.steps.by_disturbance[:, :, axis] * torque_Nm[:, None]
-            of_flight, flight_rows = open_loop_squares(linear, rates)
-            squares, rows, flight = squares + of_flight, rows + flight_rows, flight + 1
+            of_flight = open_loop_squares(linear, rates)
+            squares, rows, flight = squares + of_flight.squares, rows + of_flight.rows, flight + 1
         changes.append(np.sqrt(squares / max(rows, 1)).max())
     return float(max(changes))
 
@@ -662,6 +682,7 @@ def _cell_scores(screening: Screening, axis: str, cell: Integers, count: int) ->
             screening.estimate.disturbances, AXES.index(axis), np.split(is_inside, flight_ends)
         )
         statistics = screening.projected(regressors, [1] * len(batch))
+        # Each cell has one regressor.
         z[batch] = [score[0] / np.sqrt(max(information[0, 0], 1e-12)) for information, score in statistics]
     return z
 

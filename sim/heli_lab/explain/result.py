@@ -15,6 +15,7 @@ from heli_sim.model.effects import EffectSpec, effect_numbers
 from heli_sim.rig import Number, Rig
 
 from heli_lab.explain.assessment import Assessment
+from heli_lab.explain.candidates import channel_place
 from heli_lab.explain.comparison import Hypothesis
 from heli_lab.explain.contributions import SplineCurve, spline_curves_of
 from heli_lab.explain.experiment_design import ExperimentDesign
@@ -212,7 +213,7 @@ class Diagnosis:
         for spline in self.search.rounds[0].splines:
             channel, quantity = spline.candidate.dependence
             if channel.startswith("torque"):
-                return self.failing_regions_about(channel.partition(".")[2], quantity)
+                return self.failing_regions_about(channel_place(channel), quantity)
         return self.failing_regions_about(self.assessment.residual_analysis.axis)
 
     def failing_regions_about(self, axis: str, on: str = "") -> FailingRegions:
@@ -236,12 +237,12 @@ class Diagnosis:
         residual = self.assessment.residual_analysis
         if self.verdict.unlisted:
             channel, quantity = self.verdict.unlisted[0].candidate.dependence
-            axis_or_rotors = channel.partition(".")[2]
+            axis_or_rotors = channel_place(channel)
             # The sum of the thrusts lifts the arm, and their difference pitches it.
             axis = {"both": "elevation", "difference": "pitch"}.get(axis_or_rotors, axis_or_rotors)
             return MissingDependence(axis, quantity)
         channel, _, quantity = residual.dependences[0].what.partition(" on ")
-        axis_or_rotors = channel.partition(".")[2]
+        axis_or_rotors = channel_place(channel)
         axis = axis_or_rotors if axis_or_rotors in AXES else residual.axis
         return MissingDependence(axis, quantity)
 

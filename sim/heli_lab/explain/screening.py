@@ -50,6 +50,7 @@ from heli_lab.fit.innovations import (
     smoothed_disturbances,
 )
 from heli_lab.fit.normal_equations import invert_arrowhead, solve_arrowhead
+from heli_lab.fit.parameters import ValueAndStd
 from heli_lab.threads import batches, default_thread_count, parallel_map
 
 
@@ -404,8 +405,8 @@ class Screening:
         self.measurements = sum(len(flight) for flight in innovations.flights)
         of_rig = NormalDistribution(parameter_vector.mean, np.diag(parameter_vector.std**-2.0))
         mean, precision = prior or of_rig
-        # Normal equations of the free parameters: (parameters, parameters), and the columns of each flight.
-        self._normal_equations = (innovations.information() + precision, innovations.per_flight)
+        # Arrowhead matrix of the normal equations of the free parameters, and the columns of each flight.
+        self._normal_matrix, self._per_flight = innovations.information() + precision, innovations.per_flight
         step = self._solve(innovations.score() - precision @ (estimate.theta - mean))
         # Estimates of the free parameters after a Gauss-Newton step, (f,).
         self._stepped = estimate.theta + step
@@ -414,12 +415,11 @@ class Screening:
         # Score of the free parameters that a prior holds back without being evidence for candidates, (f,).
         self._held_back = np.zeros_like(step) if prior is None else precision @ (estimate.theta + step - mean)
 
-    def estimates(self) -> dict[str, tuple[float, float]]:
+    def estimates(self) -> dict[str, ValueAndStd]:
         """Return the most likely value of each free parameter with its standard error, given the prior."""
-        matrix, per_flight = self._normal_equations
-        std = np.sqrt(np.diag(invert_arrowhead(matrix, per_flight)))
-        numbers = zip(self._stepped.tolist(), std.tolist(), strict=True)
-        return dict(zip(self.estimate.parameter_vector.names, numbers, strict=True))
+        std = np.sqrt(np.diag(invert_arrowhead(self._normal_matrix, self._per_flight)))
+        estimates = map(ValueAndStd, self._stepped.tolist(), std.tolist())
+        return dict(zip(self.estimate.parameter_vector.names, estimates, strict=True))
 
     def release(self) -> None:
         """Free the memory of cached signals, 0.2 GB for ten minutes of flight."""
@@ -462,11 +462,9 @@ class Screening:
         signals = (signals_of(flight, candidates) for flight in self.regressors)
         return self.information(signals, list(map(_regressor_count, candidates)))
 
-    def information(
-        self, signals: Iterable[tuple[Floats, Floats | None]], sizes: Sequence[int]
-    ) -> list[ScoreStatistics]:
-        """Compute Fisher information and score of each candidate's coefficients over all flights. Shapes:
-        `signals` (ndarray, ndarray or None).
+    def information(self, signals: Iterable[CandidateSignals], sizes: Sequence[int]) -> list[ScoreStatistics]:
+        """Compute Fisher information and score of each candidate's coefficients over all flights. `signals`
+        has one entry per flight, and `sizes` the number of coefficients of each candidate.
         """
         return self.projected(self.filtered.regressors(self.estimate.disturbances, signals), sizes)
 
@@ -506,8 +504,7 @@ class Screening:
 
     def _solve(self, right: Floats) -> Floats:
         """Solve the normal equations of the free parameters for a right-hand side, (parameters, ...)."""
-        matrix, per_flight = self._normal_equations
-        return solve_arrowhead(matrix, right, per_flight)
+        return solve_arrowhead(self._normal_matrix, right, self._per_flight)
 
     def statistics(self, candidates: Sequence[Candidate]) -> list[ScoreStatistics]:
         """Compute Fisher information and score of each of the `candidates`, as `information` does."""
@@ -656,7 +653,7 @@ def _concentrated_score(
 def _residuals_after(
     screening: Screening,
     residuals: FlightErrors,
-    signals: Sequence[tuple[Floats, Floats | None]],
+    signals: Sequence[CandidateSignals],
     coefficients: Floats,
 ) -> FlightErrors:
     """Return the residuals that remain if a candidate with these coefficients, (g,), is in the model."""
@@ -673,6 +670,6 @@ def _residuals_after(
         ):
             added_angle = 0.0 if angles is None else (angles[blocks.rows] @ coefficients)[:, :, None]
             new_drive = drive + (added_drive @ coefficients)[:, :, None]
-            windows.append((new_drive, measured - added_angle))
+            windows.append(ModelErrors(new_drive, measured - added_angle))
         result.append(windows)
     return result

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from heli_sim.model.effects.spec import EffectSpec
@@ -250,8 +250,11 @@ def _contained(
             yield Candidate(id_, contained.make(own_values), contained.size)
 
 
-Compared = tuple[Alternative, Hypothesis]
-"""Another effect in the place of a cause, and the model with it."""
+class Compared(NamedTuple):
+    """Another effect in the place of a cause, and the model with it."""
+
+    alternative: Alternative
+    hypothesis: Hypothesis
 
 
 @dataclass
@@ -294,7 +297,7 @@ class BackwardElimination:
                 train=final.log_likelihood - reduced_by_id[candidate.id].log_likelihood,
                 held_out=held_out_ratios.get(candidate.id),
                 penalty=self.acceptance.penalty(candidate),
-                alternatives=tuple(alternative for alternative, _ in compared_by_id[candidate.id]),
+                alternatives=tuple(compared.alternative for compared in compared_by_id[candidate.id]),
             )
             for candidate in final.candidates
         ]
@@ -420,7 +423,7 @@ class BackwardElimination:
             if self.comparison.in_flight(replaced) and not self._adds_unresolved(candidate, other, replaced):
                 ratio = final.log_likelihood - replaced.log_likelihood
                 ratio = ratio + self.acceptance.penalty(other) - self.acceptance.penalty(candidate)
-                compared.append((Alternative(other.id, ratio), replaced))
+                compared.append(Compared(Alternative(other.id, ratio), replaced))
 
         for refit in self._likely_alternatives(final, other_causes, round_refits):
             is_exhausted = bool(other_causes) and not self.progress.refits_left()
@@ -428,13 +431,13 @@ class BackwardElimination:
                 break
             compare(refit.candidate, refit.hypothesis)
         tried = {refit.candidate.id: refit for refit in round_refits}
-        compared_ids = {alternative.id for alternative, _ in compared}
+        compared_ids = {each.alternative.id for each in compared}
         for member in self._family(candidate, other_causes):
             if member.id in tried and member.id not in compared_ids:
                 compare(tried[member.id].candidate, tried[member.id].hypothesis)
             elif member.id not in compared_ids:
                 compare(member, None)
-        return sorted(compared, key=lambda pair: pair[0].log_likelihood_ratio)
+        return sorted(compared, key=lambda each: each.alternative.log_likelihood_ratio)
 
     def _adds_unresolved(self, cause: Candidate, other: Candidate, replaced: Hypothesis) -> bool:
         """Whether another effect is the cause with more sizes, of which the flights do not resolve each."""
@@ -522,13 +525,15 @@ def search(
     final, causes = baseline, list[Cause]()
     for _ in range(_MAX_TURNS):
         progress.accepted = len(final.candidates)
-        selected, screening, complete = forward.select(final)
-        if selected is final:
+        selection = forward.select(final)
+        if selection.hypothesis is final:
             break
-        exchanged = exchange(comparison, acceptance, progress, selected)
+        exchanged = exchange(comparison, acceptance, progress, selection.hypothesis)
         final, causes = backward.eliminate(exchanged)
+        # Another turn is worth its time only if a cause was removed, because it may have hidden another one.
         if set(exchanged.ids) <= {*final.ids, *backward.replaced_ids}:
             break
-    if final is not selected:
-        screening = Screening(final.estimate)
-    return Search(baseline, final, tuple(causes), tuple(forward.rounds), screening, complete)
+    screening = selection.screening if final is selection.hypothesis else Screening(final.estimate)
+    return Search(
+        baseline, final, tuple(causes), tuple(forward.rounds), screening, complete=selection.complete
+    )

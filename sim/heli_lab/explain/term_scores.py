@@ -18,7 +18,7 @@ from heli_host.data.arrays import Floats
 from heli_sim.evaluate.trajectories import Trajectory
 from heli_sim.model.effect import AXES
 
-from heli_lab.explain.candidates import ExtendedModel
+from heli_lab.explain.candidates import CandidateSignals, ExtendedModel, channel_kind, channel_place
 from heli_lab.explain.screening import Screening, score_of
 from heli_lab.explain.terms import (
     CHANNELS,
@@ -83,7 +83,7 @@ def groups(spans: Mapping[str, tuple[float, float]]) -> list[TermGroup]:
         if channel.startswith("measurement"):
             result += [
                 _term_group(channel, terms)
-                for terms in _encoder_products(channel.partition(".")[2], single_factors)
+                for terms in _encoder_products(channel_place(channel), single_factors)
             ]
     return result
 
@@ -311,7 +311,7 @@ class TermSignals:
         if term.channel.startswith(("torque", "measurement")):
             influence = self._influence_of_channel(index, term.channel)
             return influence * value[:, None, :]
-        kind = term.channel.partition(".")[0]
+        kind = channel_kind(term.channel)
         total = np.zeros((len(value), self.linearised_flights[index].states))
         for rotor, sign in enumerate(rotor_signs(term.channel)):
             if sign:
@@ -361,9 +361,8 @@ class _Column:
     """A group of terms along all flights."""
 
     group: TermGroup
-    values: Sequence[
-        Sequence[Floats]
-    ]  # By term and flight, shape (n, 1), or (n, 2) if each rotor has its own
+    values: Sequence[Sequence[Floats]]
+    """By term and flight, shape (n, 1), or (n, 2) if each rotor has its own."""
     prior_std: Floats  # (g,): Prior standard deviations of the coefficients
 
 
@@ -406,18 +405,18 @@ def _regressors(
         for term, by_flight in zip(column.group.terms, column.values, strict=True)
     ]
     disturbances = screening.estimate.disturbances
-    kind, _, place = channel.partition(".")
-    if kind == "torque":
+    if channel_kind(channel) == "torque":
         torques = [np.concatenate([by_flight[i] for _, by_flight in terms], axis=1) for i in flights]
-        return screening.filtered.disturbance_regressors(disturbances, AXES.index(place), torques)
-    changes: list[tuple[Floats, Floats | None]] = []
+        axis = AXES.index(channel_place(channel))
+        return screening.filtered.disturbance_regressors(disturbances, axis, torques)
+    changes: list[CandidateSignals] = []
     for i in flights:
         change = np.concatenate([signals.signal(i, term, by_flight[i]) for term, by_flight in terms], axis=2)
-        if kind == "measurement":
+        if channel_kind(channel) == "measurement":
             no_rates = np.zeros((len(change), signals.linearised_flights[i].states, change.shape[2]))
-            changes.append((no_rates, change))
+            changes.append(CandidateSignals(no_rates, measured_rad=change))
         else:
-            changes.append((change, None))
+            changes.append(CandidateSignals(rates=change, measured_rad=None))
     return screening.filtered.regressors(disturbances, changes)
 
 
@@ -435,8 +434,8 @@ def _scored(column: _Column, information: Floats, gradient: Floats) -> ScoredTer
 
 def term_coefficient_std(term: EquationTerm, rms: float) -> float:
     """Prior standard deviation of the coefficient of a `term` of root mean square `rms` along the flights."""
-    kind = term.channel.partition(".")[0]
-    return _PRIOR_RMS.get(term.channel, _PRIOR_RMS.get(kind, 1.0)) / rms
+    rms_of_kind = _PRIOR_RMS.get(channel_kind(term.channel), 1.0)
+    return _PRIOR_RMS.get(term.channel, rms_of_kind) / rms
 
 
 def _quantities_along(linear: LinearisedFlight, trajectory: Trajectory) -> dict[str, Floats]:

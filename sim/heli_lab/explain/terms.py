@@ -16,6 +16,8 @@ import casadi as ca
 from heli_sim.model.effect import AXES, Effect, Operands, Stage
 from heli_sim.rig.schema import Prior, Quantity
 
+from heli_lab.explain.candidates import channel_place
+
 BASE: Final = ("N", "m", "s", "V", "rad")
 """Base units. The radian counts as 1 in the argument of a function, and is kept in units of parameters: N
 m/rad is a stiffness."""
@@ -77,14 +79,22 @@ _Expression = Any
 _SIGN_WIDTH_rad_s: Final = 0.02
 """Rate below which the sign of a rate is not known: about two encoder counts within the filter's memory.
 Smaller: stiffer than a simulator's step allows. Larger: friction without a corner."""
-_UNIT_AND_SIGN_WIDTH: Final[Mapping[str, tuple[str, float]]] = {
-    "angle": ("rad", 0.02),
-    "rate": ("rad/s", _SIGN_WIDTH_rad_s),
-    "thrust": ("N", 0.05),
-    "voltage": ("V", 0.05),
-    "time": ("s", 0.0),
+
+
+class _SymbolKind(NamedTuple):
+    """A kind of quantity."""
+
+    unit: str  # SI unit
+    sign_width: float  # Absolute value below which its sign is smoothed
+
+
+_SYMBOL_KINDS: Final[Mapping[str, _SymbolKind]] = {
+    "angle": _SymbolKind("rad", 0.02),
+    "rate": _SymbolKind("rad/s", _SIGN_WIDTH_rad_s),
+    "thrust": _SymbolKind("N", 0.05),
+    "voltage": _SymbolKind("V", 0.05),
+    "time": _SymbolKind("s", 0.0),
 }
-"""For each kind of quantity its SI unit, and the absolute value below which its sign is smoothed."""
 
 
 @dataclass(frozen=True)
@@ -102,12 +112,12 @@ class Symbol:
     @property
     def unit(self) -> Unit:
         """SI unit, from which units of coefficients follow."""
-        return Unit.parse(_UNIT_AND_SIGN_WIDTH[self.kind][0])
+        return Unit.parse(_SYMBOL_KINDS[self.kind].unit)
 
     @property
     def near_zero(self) -> float:
         """Absolute value, in its unit, below which its sign is smoothed."""
-        return _UNIT_AND_SIGN_WIDTH[self.kind][1]
+        return _SYMBOL_KINDS[self.kind].sign_width
 
 
 def _state_quantity(name: str, latex: str, kind: str) -> Symbol:
@@ -297,14 +307,26 @@ class Term:
 
 NAME: Final = "proposed_term"
 """Id of the effect that a proposed equation becomes."""
-CHANNELS: Final[Mapping[str, tuple[str, Stage]]] = {
-    **{f"torque.{axis}": ("N m", Stage.TORQUE) for axis in AXES},
-    **{f"thrust.{which}": ("N", Stage.INFLOW) for which in ("both", "difference", "front", "back")},
-    **{f"voltage.{which}": ("V", Stage.CURVE) for which in ("both", "front", "back")},
-    **{f"measurement.{axis}": ("rad", Stage.SHAFT) for axis in AXES},
+
+
+class EquationChannel(NamedTuple):
+    """A place where a term may act."""
+
+    unit: str  # Unit of the term
+    stage: Stage  # Stage of the effect
+
+
+CHANNELS: Final[Mapping[str, EquationChannel]] = {
+    **{f"torque.{axis}": EquationChannel("N m", Stage.TORQUE) for axis in AXES},
+    **{
+        f"thrust.{rotors}": EquationChannel("N", Stage.INFLOW)
+        for rotors in ("both", "difference", "front", "back")
+    },
+    **{f"voltage.{rotors}": EquationChannel("V", Stage.CURVE) for rotors in ("both", "front", "back")},
+    **{f"measurement.{axis}": EquationChannel("rad", Stage.SHAFT) for axis in AXES},
 }
-"""Where a term may act: its unit, and the stage of the effect. A term of ``thrust.difference`` is added to
-the front rotor's thrust and subtracted from the back rotor's."""
+"""Where a term may act, by name. A term of ``thrust.difference`` is added to the front rotor's thrust and
+subtracted from the back rotor's."""
 _ROTORS: Final[Mapping[str, tuple[int, int]]] = {
     "both": (1, 1),
     "difference": (1, -1),
@@ -318,7 +340,7 @@ _MIN_s, _MAX_s = 0.02, 5.0
 def rotor_signs(channel: str) -> tuple[int, int]:
     """Return the signs with which a term of a thrust or voltage `channel` acts on the two rotors."""
     # They are 1, 0 or -1, for the front and for the back rotor.
-    return _ROTORS[channel.partition(".")[2]]
+    return _ROTORS[channel_place(channel)]
 
 
 @dataclass(frozen=True)
@@ -331,7 +353,7 @@ class EquationTerm:
     @property
     def coefficient_unit(self) -> Unit:
         """Unit of the coefficient: the channel's unit over the term's."""
-        return Unit.parse(CHANNELS[self.channel][0]) / self.term.unit
+        return Unit.parse(CHANNELS[self.channel].unit) / self.term.unit
 
     @property
     def key(self) -> str:
@@ -475,7 +497,7 @@ class EquationEffect(Effect):
         """Torques of the equation [N m], shape (3, 1); see `Effect.torque_Nm`."""
         torque_by_axis: dict[str, ca.SX] = {}
         for channel, value in self._channel_values(at, "torque"):
-            axis = channel.partition(".")[2]
+            axis = channel_place(channel)
             torque_by_axis[axis] = torque_by_axis.get(axis, ca.SX(0)) + value
         return ca.vertcat(*(torque_by_axis.get(axis, ca.SX(0)) for axis in AXES))
 
@@ -494,7 +516,7 @@ class EquationEffect(Effect):
     def measured_rad(self, at: Operands, angles_rad: ca.SX) -> ca.SX:
         """Measured angles with the terms of the equation [rad], shape (3, 1); see `Effect.measured_rad`."""
         for channel, value in self._channel_values(at, "measurement"):
-            axis = channel.partition(".")[2]
+            axis = channel_place(channel)
             angles_rad = angles_rad + ca.vertcat(*(value if axis == other else ca.SX(0) for other in AXES))
         return angles_rad
 
@@ -534,7 +556,7 @@ def equation_effect(
         values=values,
         states=tuple(_lag_states(equation, prefix)),
         priors=priors,
-        stage=min(CHANNELS[channel][1] for channel in equation.channels),
+        stage=min(CHANNELS[channel].stage for channel in equation.channels),
         equation=equation,
     )
 

@@ -739,4 +739,4 @@ def _outline_failing_cells(panel: Axes, regions: FailingRegions, test: RegionTes
 
 def _display_factor_and_unit(quantity: str) -> tuple[float, str]:
     """Return the factor from the SI unit of a quantity to its display unit, and that unit."""
-    return display_unit(QUANTITIES[quantity][1])
+    return display_unit(QUANTITIES[quantity].unit)

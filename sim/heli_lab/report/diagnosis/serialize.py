@@ -191,7 +191,7 @@ def _channel_json(term: ProposedTerm, channel: str) -> dict[str, str]:
     """Return the terms of an equation on a channel, with names and with values of its parameters."""
     return {
         "channel": channel,
-        "unit": CHANNELS[channel][0],
+        "unit": CHANNELS[channel].unit,
         "expression": expression(term.equation, channel),
         "expression_with_numbers": expression(term.equation, channel, term.numbers),
     }
@@ -219,7 +219,7 @@ def _failing_regions_json(regions: FailingRegions) -> dict[str, Any]:
         "axis": regions.axis,
         "x": regions.x,
         "y": regions.y,
-        "units": [QUANTITIES[regions.x][1], QUANTITIES[regions.y][1]],
+        "units": [QUANTITIES[regions.x].unit, QUANTITIES[regions.y].unit],
         "false_discovery_rate": FALSE_DISCOVERY_RATE,
         "before": cells_of(regions.before),
         "after": cells_of(regions.after),

@@ -237,7 +237,7 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
             "log_likelihood_gain": residual.dependences[0].log_likelihood_gain,
         }
     strongest = result.verdict.unlisted[0]
-    channel, _ = strongest.candidate.dependence
+    channel = strongest.candidate.dependence.channel
     round_of_term = next(
         round_ for round_ in result.search.rounds if round_.accepted_id == strongest.candidate.id
     )
