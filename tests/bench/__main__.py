@@ -8,6 +8,7 @@ import json
 import os
 import platform
 import sys
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -154,17 +155,25 @@ def processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def measured_by(parts: Sequence[Part], console: Console) -> list[Measured]:
-    """Measure some parts, one after the other; a part that lacks something is skipped and says what."""
+def measured_by(parts: Sequence[Part], console: Console) -> tuple[list[Measured], list[str]]:
+    """Measure some parts, one after the other, and return the results and the names of the parts that failed.
+
+    A part that lacks something is skipped and says what.
+    """
     measured: list[Measured] = []
+    failed: list[str] = []
     for number, part in enumerate(parts, 1):
         console.print(f"[{number}/{len(parts)}] {part.what} (about {part.usual_time()})", markup=False)
         lack = part.lack()
         if lack:
             console.print(f"      skipped: {lack}", markup=False)
-        else:
+            continue
+        try:
             measured += part.measure(lambda text: console.print(text, markup=False))
-    return measured
+        except Exception:  # noqa: BLE001 - half an hour of other parts would be lost
+            console.print(traceback.format_exc(), markup=False)
+            failed.append(part.name)
+    return measured, failed
 
 
 def table(measured: Sequence[Measured], whole: bool) -> tuple[Table, bool]:
@@ -210,7 +219,7 @@ def main(words: Sequence[str]) -> int:
     if unknown := [name for name in chosen if name not in names]:
         parser.error(f"no part is called {', '.join(unknown)}; there are {', '.join(names)}")
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 110)
-    measured = measured_by([part for part in PARTS if not chosen or part.name in chosen], console)
+    measured, failed = measured_by([part for part in PARTS if not chosen or part.name in chosen], console)
     report, all_hold = table(measured, whole=not chosen)
     if not chosen:
         content = {
@@ -227,7 +236,9 @@ def main(words: Sequence[str]) -> int:
     console.print(report)
     if not chosen:
         console.print(f"-> {RESULT}")
-    return 0 if all_hold else 1
+    if failed:
+        console.print(f"failed, see above: {', '.join(failed)}", markup=False)
+    return 0 if all_hold and not failed else 1
 
 
 if __name__ == "__main__":

@@ -18,11 +18,23 @@ def test_a_part_without_its_package_is_skipped_in_one_line_and_the_next_is_measu
         "first", "what cannot be", 5, lambda _: [Measured("never", [1.0])], module("no_such_package")
     )
     second = replace(first, name="second", measure=lambda _: [Measured("there", [2.0])], lack=lambda: "")
-    measured = measured_by([first, second], Console(file=output, width=100))
-    assert [row.key for row in measured] == ["there"]
+    measured, failed = measured_by([first, second], Console(file=output, width=100))
+    assert [row.key for row in measured] == ["there"] and not failed
     assert output.getvalue().splitlines()[1] == (
         "      skipped: no_such_package is not installed; make bench does that"
     )
+
+
+def test_a_part_that_fails_does_not_lose_the_others() -> None:
+    def fails(_: object) -> list[Measured]:
+        raise RuntimeError("no space")
+
+    first = Part("first", "what fails", 5, fails)
+    second = replace(first, name="second", measure=lambda _: [Measured("there", [2.0])])
+    output = io.StringIO()
+    measured, failed = measured_by([first, second], Console(file=output, width=100))
+    assert [row.key for row in measured] == ["there"] and failed == ["first"]
+    assert "RuntimeError: no space" in output.getvalue()
 
 
 def test_a_part_that_is_not_known_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

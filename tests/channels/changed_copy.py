@@ -70,13 +70,13 @@ class ChangedCopy:
             assert process.returncode == 0, process.stdout[-4000:] + process.stderr[-4000:]
         (extension,) = build.glob("_native*.so")
         self.extension.write_bytes(extension.read_bytes())
-        # The extensions of the laboratory do not depend on the declaration.
+        # The extensions of the laboratory do not depend on the declaration. An earlier commit may have none.
         suffix = sysconfig.get_config_var("EXT_SUFFIX")
         for module in (_kalman, _expression_vm):
             package, name = module.__name__.rsplit(".", 1)
-            shutil.copy(
-                str(module.__file__), self.root / "sim" / Path(*package.split(".")) / f"{name}{suffix}"
-            )
+            folder = self.root / "sim" / Path(*package.split("."))
+            if folder.exists():
+                shutil.copy(str(module.__file__), folder / f"{name}{suffix}")
 
     @property
     def extension(self) -> Path:

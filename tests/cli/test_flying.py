@@ -379,12 +379,18 @@ def test_fly_refuses_parameters_with_another_scale(terminal: Terminal, tmp_path:
 
 
 @pytest.mark.medium
-def test_fly_warns_of_another_supply_and_flies(terminal: Terminal, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("words", "warning"),
+    [([], "supply_V is 13 V, but the rig has 12 V"), (["--blind"], "supply_V is not that of the rig")],
+)
+def test_fly_warns_of_another_supply_and_flies(
+    terminal: Terminal, tmp_path: Path, words: list[str], warning: str
+) -> None:
     write_mine(tmp_path, encoder_counts_travel=4096.0)
     (tmp_path / "p.toml").write_text("[parameters]\nsupply_V = 13\n")
-    result = terminal(*FLY_MINE, "--params", "p.toml")
+    result = terminal(*FLY_MINE, "--params", "p.toml", *words)
     assert result.code == 0, result.err
-    assert "warning: supply_V is 13 V, but the rig has 12 V" in result.out
+    assert f"warning: {warning}\n" in result.out
 
 
 @pytest.mark.slow

@@ -84,8 +84,9 @@ def _say_migration(heli: Heli) -> None:
 
 
 def check_board_rig(heli: Heli, rig: str | None, *, blind: bool = False) -> None:
-    """Compare the parameters of a board with the rig that it flies; print a warning for each difference. A
-    note on the gains names a simulated rig, so a `blind` flight has none.
+    """Compare the parameters of a board with the rig that it flies; print a warning for each difference.
+
+    Nothing that is printed of a `blind` flight has the numbers or the name of the simulated rig.
     """
     from heli_host.board.parameters import spec_of
     from heli_host.board.rig_check import GAINS_RIG, check_rig, is_known_rig, rig_parameters
@@ -104,7 +105,11 @@ def check_board_rig(heli: Heli, rig: str | None, *, blind: bool = False) -> None
     for difference in check_rig(expected, heli.params, simulated=simulated, directed=directed):
         # A simulated board starts with the parameters of its rig, so the user has set this one on purpose.
         fix = "" if simulated else f"; heli-host params set {difference.parameter} {difference.rig:g} --save"
-        say(f"warning: {difference}{fix}")
+        say(
+            f"warning: {difference.parameter} is not that of the rig"
+            if blind
+            else f"warning: {difference}{fix}"
+        )
     has_default_gains = math.isclose(heli.params["hover_V"], spec_of("hover_V").default, rel_tol=1e-6)
     if simulated and has_default_gains and rig not in (None, GAINS_RIG) and not blind:
         say_progress(
