@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 from pathlib import Path
 
 from heli_lab.fit import _kalman
@@ -22,7 +23,6 @@ scale = {scale}
 meaning = "{meaning}"
 """
 DECLARATION = "firmware/link.toml"
-_COMMAND_LINE = ("-c", "from heli_host.ui.cli import main; main()")
 _SOURCES = ("firmware", "host", "sim")
 
 
@@ -35,6 +35,9 @@ class ChangedCopy:
         for name in _SOURCES:
             shutil.copytree(source / name, root / name, ignore=ignore)
         shutil.copy(source / "CMakeLists.txt", root)
+        scripts = tomllib.loads((source / "pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
+        module, _, function = scripts["heli-host"].partition(":")
+        self._command_line = ("-c", f"from {module} import {function}; {function}()")
 
     def replace(self, name: str, old: str, new: str) -> None:
         """Change the one place of a file where a text stands."""
@@ -107,11 +110,11 @@ class ChangedCopy:
 
     def heli_host(self, *arguments: str) -> str:
         """Run the command line of the copy; what it printed."""
-        return self.run(*_COMMAND_LINE, *arguments)
+        return self.run(*self._command_line, *arguments)
 
     def heli_host_command(self, *arguments: str) -> list[str]:
         """The same as a command to run in `environment`."""
-        return [sys.executable, "-S", *_COMMAND_LINE, *arguments]
+        return [sys.executable, "-S", *self._command_line, *arguments]
 
 
 def channel(

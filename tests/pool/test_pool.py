@@ -92,8 +92,9 @@ def test_a_cause_is_counted_among_the_machines_that_would_show_it(tmp_path: Path
     counted = made.causes["rotor_lag"]
     assert (counted.present, counted.detectable) == (3, 4)
     assert counted.interval == pytest.approx((0.1941, 0.9937), abs=1e-4)
-    # A cause that was named with low confidence counts as detectable but not present.
-    assert made.causes["backlash.pitch"].present == 0
+    # A cause that was named with low confidence is neither there nor not.
+    unsure = made.causes["backlash.pitch"]
+    assert (unsure.present, unsure.detectable, unsure.undecided) == (0, 2, 3)
     assert next(iter(made.causes)) == "rotor_lag"
 
 
@@ -252,6 +253,8 @@ def test_machines_are_pooled_and_a_prior_is_left(terminal: Terminal, tmp_path: P
     assert result.code == 0, result.err
     assert "3 rigs of type makki2024, model multibody" in result.out
     assert "rotor_lag: on 3 of 3 rigs that could show it; 29 to 100 % of all rigs of this type" in result.out
+    assert "backlash.pitch: on 0 of 0 rigs that could show it; 0 to 100 % of all rigs" in result.out
+    assert "undecided on 3 more: confidence below 0.9; diagnose with --validate" in result.out
     assert load_rig(out)["thrust_gain"].value > 1.05 * RIG["thrust_gain"].value
     content = json.loads(numbers.read_text())
     assert content["numbers"]["rotor_lag_s"]["machines"] == 3

@@ -37,9 +37,9 @@ __all__ = [
 
 
 MIN_CAUSE_CONFIDENCE: Final = 0.9
-"""Confidence from which on a cause counts as present, 0 to 1. By definition, at least nine of ten such causes
-are right. A lower value counts causes that no rig has, a higher one misses causes that the flights show
-weakly."""
+"""Confidence from which on a cause counts as present, 0 to 1; a rig with less is undecided. By definition, at
+least nine of ten such causes are right. A lower value counts causes that no rig has, a higher one leaves rigs
+undecided that have the cause."""
 _MIN_INFORMATION_SHARE: Final = 0.05
 """Smallest precision from the flights over the prior's precision for which a parameter of a rig is used.
 Below it, the estimate without the prior is a difference of nearly equal numbers."""
@@ -227,9 +227,11 @@ class Share:
     Parameters
     ----------
     present, detectable : int
-        Number of rigs with the cause, and of all rigs whose flights could show it.
+        Number of rigs with the cause, and of all decided rigs whose flights could show it.
+    undecided : int
+        Number of further rigs on which the cause was named with a confidence below `MIN_CAUSE_CONFIDENCE`.
     share : float
-        Their ratio.
+        Ratio of `present` to `detectable`; 0 if no rig is decided.
     interval : (float, float)
         Exact 95 % confidence interval of the share among all rigs of the type (Clopper and Pearson,
         Biometrika 26, 1934, 404).
@@ -237,18 +239,22 @@ class Share:
 
     present: int
     detectable: int
+    undecided: int
     share: float
     interval: tuple[float, float]
 
 
-def share(present: int, detectable: int) -> Share:
-    """Estimate the share of rigs with a cause: `present` of `detectable` rigs have it, of which there is at
-    least one.
+def share(present: int, detectable: int, undecided: int = 0) -> Share:
+    """Estimate the share of rigs with a cause: `present` of `detectable` rigs have it, beside `undecided`
+    rigs.
     """
     from scipy.stats import binomtest
 
+    if not detectable:
+        return Share(0, 0, undecided, 0.0, (0.0, 1.0))
     interval = binomtest(present, detectable).proportion_ci(CONFIDENCE, method="exact")
-    return Share(present, detectable, present / detectable, (float(interval.low), float(interval.high)))
+    low_high = (float(interval.low), float(interval.high))
+    return Share(present, detectable, undecided, present / detectable, low_high)
 
 
 PRIOR_SPREAD: Final = 0.5
@@ -272,7 +278,7 @@ class RigPopulation:
     parameters : Mapping of str to RandomEffects
         Each parameter of the rig and of effects about which flights are informative.
     causes : Mapping of str to Share
-        Share of rigs with each cause, among those whose flights could show it; the most frequent first.
+        Share of rigs with each cause, among those whose flights decide on it; the most frequent first.
     """
 
     diagnoses: tuple[RigDiagnosis, ...]
@@ -376,13 +382,14 @@ def pool(diagnoses: Sequence[RigDiagnosis]) -> RigPopulation:
         parameters[name] = der_simonian_laird(values, stds)
     causes = {}
     for id_ in dict.fromkeys(id_ for diagnosis in diagnoses for id_ in diagnosis.causes):
-        has_cause = [diagnosis.causes.get(id_, 0.0) >= MIN_CAUSE_CONFIDENCE for diagnosis in diagnoses]
-        detectable_count = sum(
-            is_present or id_ not in diagnosis.undetectable
-            for is_present, diagnosis in zip(has_cause, diagnoses, strict=True)
+        confidences = [diagnosis.causes[id_] for diagnosis in diagnoses if id_ in diagnosis.causes]
+        present_count = sum(confidence >= MIN_CAUSE_CONFIDENCE for confidence in confidences)
+        absent_count = sum(
+            id_ not in diagnosis.causes and id_ not in diagnosis.undetectable for diagnosis in diagnoses
         )
-        if detectable_count:
-            causes[id_] = share(sum(has_cause), detectable_count)
+        causes[id_] = share(
+            present_count, present_count + absent_count, undecided=len(confidences) - present_count
+        )
     ordered = dict(sorted(causes.items(), key=lambda item: -item[1].share))
     return RigPopulation(tuple(diagnoses), parameters, ordered)
 

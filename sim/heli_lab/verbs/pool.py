@@ -66,6 +66,7 @@ def pool(
             name: {
                 "found": cause.present,
                 "seen": cause.detectable,
+                "undecided": cause.undecided,
                 "share": cause.share,
                 "interval": cause.interval,
             }
@@ -80,6 +81,8 @@ def _population_lines(population: RigPopulation) -> list[str]:
     """Return the share of rigs with each cause, and the parameters' means and standard deviations, as
     text.
     """
+    from heli_lab.apps.pool import MIN_CAUSE_CONFIDENCE
+
     units = {
         name: quantity.unit
         for diagnosis in population.diagnoses
@@ -97,6 +100,11 @@ def _population_lines(population: RigPopulation) -> list[str]:
             f"  {name}: on {cause.present} of {cause.detectable} rigs that could show it; "
             f"{100 * low:.0f} to {100 * high:.0f} % of all rigs of this type"
         )
+        if cause.undecided:
+            lines.append(
+                f"    undecided on {cause.undecided} more: confidence below {MIN_CAUSE_CONFIDENCE:g}; "
+                "diagnose with --validate"
+            )
     lines.append(f"  {'parameter':32}{'mean':>10}{'std error':>11}{'std between rigs':>18}  unit")
     for name, number in population.parameters.items():
         tau = f"{number.tau:.2g}" if number.machines > 1 else "unknown"

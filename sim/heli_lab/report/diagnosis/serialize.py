@@ -13,7 +13,7 @@ from heli_lab.explain.prediction import HORIZONS, FreeRun
 from heli_lab.explain.proposal import ProposedTerm, expression, latex
 from heli_lab.explain.replication import WORSE_HORIZON
 from heli_lab.explain.residuals import FailingRegions, RegionTest, ResidualAnalysis
-from heli_lab.explain.result import Diagnosis, Proposal
+from heli_lab.explain.result import Diagnosis, Proposal, widened
 from heli_lab.explain.terms import CHANNELS, SYMBOLS
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
 from heli_lab.explain.verdict import PriorConflict
@@ -115,7 +115,7 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
     """Write the parameters of the extended rig."""
     # ``numbers`` are the parameters that all flights share, with their priors. ``constants`` are the means of
     # those that differ from flight to flight, such as encoder zeros.
-    estimate = result.replication.model.estimate
+    estimate = widened(result.replication.model.estimate, result.assessment.extended.estimate)
     std = estimate.covariance.diagonal() ** 0.5
     rig = result.rig("extended")
     per_flight_names = {
