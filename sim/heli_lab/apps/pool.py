@@ -245,9 +245,7 @@ class Share:
 
 
 def share(present: int, detectable: int, undecided: int = 0) -> Share:
-    """Estimate the share of rigs with a cause: `present` of `detectable` rigs have it, beside `undecided`
-    rigs.
-    """
+    """Estimate the share of rigs with a cause: `present` of `detectable` rigs have it."""
     from scipy.stats import binomtest
 
     if not detectable:
