@@ -71,11 +71,46 @@ HELI_WIDE void block_response(const Signals& signals, std::size_t block, double*
   }
 }
 
+namespace {
+
+// Turns `inverse`, which is I, into the inverse of `left`, which becomes I: Gauss-Jordan
+// elimination with partial pivoting. Both are [size][size].
+HELI_INLINE void invert(double* left, double* inverse, std::size_t size) {
+  for (std::size_t column = 0; column < size; ++column) {
+    std::size_t pivot = column;
+    for (std::size_t i = column + 1; i < size; ++i) {
+      if (std::fabs(left[i * size + column]) > std::fabs(left[pivot * size + column])) {
+        pivot = i;
+      }
+    }
+    if (pivot != column) {
+      for (std::size_t k = 0; k < size; ++k) {
+        std::swap(left[pivot * size + k], left[column * size + k]);
+        std::swap(inverse[pivot * size + k], inverse[column * size + k]);
+      }
+    }
+    const double scale = 1.0 / left[column * size + column];
+    for (std::size_t k = 0; k < size; ++k) {
+      left[column * size + k] *= scale;
+      inverse[column * size + k] *= scale;
+    }
+    for (std::size_t i = 0; i < size; ++i) {
+      const double factor = left[i * size + column];
+      if (i != column && factor != 0.0) {
+        add_multiple(-factor, left + column * size, size, left + i * size);
+        add_multiple(-factor, inverse + column * size, size, inverse + i * size);
+      }
+    }
+  }
+}
+
+}  // namespace
+
 // With A the Jacobian and h the step, the transition is (I - h A / 2)^-1 (I + h A / 2) and the
 // input matrix is h (I - h A / 2)^-1.
 HELI_WIDE void midpoint(const double* jacobian, std::size_t steps, std::size_t states,
                         double step_s, double* transition, double* input) {
-  // `input` first holds the inverse of I - h A / 2, by elimination of `left`.
+  // `input` first holds the inverse of I - h A / 2, which is `left`.
   std::vector<double> left(states * states);
   for (std::size_t step = 0; step < steps; ++step) {
     const double* a = jacobian + step * states * states;
@@ -85,36 +120,7 @@ HELI_WIDE void midpoint(const double* jacobian, std::size_t steps, std::size_t s
       left[i] = one - 0.5 * step_s * a[i];
       inverse[i] = one;
     }
-    // Gauss-Jordan elimination with partial pivoting: `left` becomes I, and `inverse` its inverse.
-    for (std::size_t column = 0; column < states; ++column) {
-      std::size_t pivot = column;
-      for (std::size_t i = column + 1; i < states; ++i) {
-        if (std::fabs(left[i * states + column]) > std::fabs(left[pivot * states + column])) {
-          pivot = i;
-        }
-      }
-      if (pivot != column) {
-        for (std::size_t k = 0; k < states; ++k) {
-          std::swap(left[pivot * states + k], left[column * states + k]);
-          std::swap(inverse[pivot * states + k], inverse[column * states + k]);
-        }
-      }
-      const double scale = 1.0 / left[column * states + column];
-      for (std::size_t k = 0; k < states; ++k) {
-        left[column * states + k] *= scale;
-        inverse[column * states + k] *= scale;
-      }
-      for (std::size_t i = 0; i < states; ++i) {
-        const double factor = left[i * states + column];
-        if (i == column || factor == 0.0) {
-          continue;
-        }
-        for (std::size_t k = 0; k < states; ++k) {
-          left[i * states + k] -= factor * left[column * states + k];
-          inverse[i * states + k] -= factor * inverse[column * states + k];
-        }
-      }
-    }
+    invert(left.data(), inverse, states);
     double* phi = transition + step * states * states;
     for (std::size_t i = 0; i < states * states; ++i) {
       // (I - h A / 2)^-1 (I + h A / 2) = 2 (I - h A / 2)^-1 - I

@@ -74,28 +74,18 @@ class Filter {
       // Covariance of the output with each state: P h', and its variance h P h' + r.
       const double* row = system_.measurement + (step * system_.outputs + output) * states;
       for (std::size_t i = 0; i < order_; ++i) {
-        double sum = 0.0;
-        for (std::size_t j = 0; j < states; ++j) {
-          sum += row[j] * covariance_[j * order_ + i];
-        }
-        gain_[i] = sum;
+        gain_[i] = dot(row, covariance_.data() + i, states, order_);
       }
       double variance = error;
       for (std::size_t j = 0; j < states; ++j) {
         variance += row[j] * gain_[j];
       }
       // Innovation of each column: measured - h mean.
-      const double scale = 1.0 / std::sqrt(variance);
       const double* measured = system_.measured + (step * system_.outputs + output) * columns;
       std::copy(measured, measured + columns, out);
       for (std::size_t j = 0; j < states; ++j) {
-        const double weight = row[j];
-        if (weight == 0.0) {
-          continue;
-        }
-        const double* from = mean_.data() + j * columns;
-        for (std::size_t c = 0; c < columns; ++c) {
-          out[c] -= weight * from[c];
+        if (row[j] != 0.0) {
+          add_multiple(-row[j], mean_.data() + j * columns, columns, out);
         }
       }
       if (record != nullptr) {
@@ -106,19 +96,14 @@ class Filter {
         }
       }
       // Normalised innovation; then mean += K innovation and P -= K h P.
+      const double scale = 1.0 / std::sqrt(variance);
       for (std::size_t c = 0; c < columns; ++c) {
         out[c] = std::fabs(out[c]) < kNegligible ? 0.0 : out[c] * scale;
       }
       for (std::size_t i = 0; i < order_; ++i) {
         const double weight = gain_[i] * scale;
-        double* to = mean_.data() + i * columns;
-        for (std::size_t c = 0; c < columns; ++c) {
-          to[c] += weight * out[c];
-        }
-        double* line = covariance_.data() + i * order_;
-        for (std::size_t j = 0; j < order_; ++j) {
-          line[j] -= weight * scale * gain_[j];
-        }
+        add_multiple(weight, out, columns, mean_.data() + i * columns);
+        add_multiple(-(weight * scale), gain_.data(), order_, covariance_.data() + i * order_);
       }
       log_variances[output] += std::log(variance);
     }
@@ -129,53 +114,13 @@ class Filter {
   HELI_INLINE void predict(std::size_t step) {
     const std::size_t states = system_.states;
     const std::size_t disturbances = system_.disturbances;
-    const std::size_t columns = system_.columns;
-    // The states' rows of F times the mean, plus the drive, and F times the covariance.
     const double* phi = system_.transition + step * states * states;
     const double* input = disturbance_input(step);
-    const double* drive = system_.drive + step * states * columns;
-    std::copy(drive, drive + states * columns, next_.begin());
-    std::fill(product_.begin(), product_.end(), 0.0);
-    for (std::size_t i = 0; i < states; ++i) {
-      double* weights = gain_.data();
-      std::copy(phi + i * states, phi + (i + 1) * states, weights);
-      std::copy(input + i * disturbances, input + (i + 1) * disturbances, weights + states);
-      add_rows(weights, order_, mean_.data(), columns, next_.data() + i * columns);
-      add_rows(weights, order_, covariance_.data(), order_, product_.data() + i * order_);
-    }
-    // Mean.
-    std::copy(next_.begin(), next_.end(), mean_.begin());
+    multiply_states_rows(step, phi, input);
+    propagate_mean();
+    propagate_covariance(phi, input);
+    // Noise that keeps the stationary variance.
     for (std::size_t i = 0; i < disturbances; ++i) {
-      double* to = mean_.data() + (states + i) * columns;
-      for (std::size_t c = 0; c < columns; ++c) {
-        to[c] *= step_memory_[i];
-      }
-    }
-    // Covariance: states with states, states with disturbances, then disturbances.
-    for (std::size_t i = 0; i < states; ++i) {
-      const double* line = product_.data() + i * order_;
-      for (std::size_t k = 0; k <= i; ++k) {
-        double sum = 0.0;
-        for (std::size_t j = 0; j < states; ++j) {
-          sum += line[j] * phi[k * states + j];
-        }
-        for (std::size_t j = 0; j < disturbances; ++j) {
-          sum += line[states + j] * input[k * disturbances + j];
-        }
-        covariance_[i * order_ + k] = sum;
-        covariance_[k * order_ + i] = sum;
-      }
-      for (std::size_t j = 0; j < disturbances; ++j) {
-        const double sum = line[states + j] * step_memory_[j];
-        covariance_[i * order_ + states + j] = sum;
-        covariance_[(states + j) * order_ + i] = sum;
-      }
-    }
-    for (std::size_t i = 0; i < disturbances; ++i) {
-      for (std::size_t j = 0; j < disturbances; ++j) {
-        covariance_[(states + i) * order_ + states + j] *= step_memory_[i] * step_memory_[j];
-      }
-      // Noise that keeps the stationary variance.
       const double lost = 1.0 - step_memory_[i] * step_memory_[i];
       covariance_[(states + i) * order_ + states + i] += lost * system_.disturbance_variance[i];
     }
@@ -219,6 +164,63 @@ class Filter {
   }
 
  private:
+  // The states' rows of F times the mean, plus the drive, in `next_`; and times the covariance, in
+  // `product_`.
+  HELI_INLINE void multiply_states_rows(std::size_t step, const double* phi, const double* input) {
+    const std::size_t states = system_.states;
+    const std::size_t disturbances = system_.disturbances;
+    const std::size_t columns = system_.columns;
+    const double* drive = system_.drive + step * states * columns;
+    std::copy(drive, drive + states * columns, next_.begin());
+    std::fill(product_.begin(), product_.end(), 0.0);
+    double* row = gain_.data();
+    for (std::size_t i = 0; i < states; ++i) {
+      std::copy(phi + i * states, phi + (i + 1) * states, row);
+      std::copy(input + i * disturbances, input + (i + 1) * disturbances, row + states);
+      add_rows(row, order_, mean_.data(), columns, next_.data() + i * columns);
+      add_rows(row, order_, covariance_.data(), order_, product_.data() + i * order_);
+    }
+  }
+
+  // The mean becomes F mean + drive; each disturbance decays by its memory.
+  HELI_INLINE void propagate_mean() {
+    std::copy(next_.begin(), next_.end(), mean_.begin());
+    for (std::size_t i = 0; i < system_.disturbances; ++i) {
+      double* to = mean_.data() + (system_.states + i) * system_.columns;
+      for (std::size_t c = 0; c < system_.columns; ++c) {
+        to[c] *= step_memory_[i];
+      }
+    }
+  }
+
+  // The covariance becomes F covariance F': first states with states, then states with
+  // disturbances, then disturbances.
+  HELI_INLINE void propagate_covariance(const double* phi, const double* input) {
+    const std::size_t states = system_.states;
+    const std::size_t disturbances = system_.disturbances;
+    for (std::size_t i = 0; i < states; ++i) {
+      const double* line = product_.data() + i * order_;
+      for (std::size_t k = 0; k <= i; ++k) {
+        double sum = dot(line, phi + k * states, states);
+        for (std::size_t j = 0; j < disturbances; ++j) {
+          sum += line[states + j] * input[k * disturbances + j];
+        }
+        covariance_[i * order_ + k] = sum;
+        covariance_[k * order_ + i] = sum;
+      }
+      for (std::size_t j = 0; j < disturbances; ++j) {
+        const double element = line[states + j] * step_memory_[j];
+        covariance_[i * order_ + states + j] = element;
+        covariance_[(states + j) * order_ + i] = element;
+      }
+    }
+    for (std::size_t i = 0; i < disturbances; ++i) {
+      for (std::size_t j = 0; j < disturbances; ++j) {
+        covariance_[(states + i) * order_ + states + j] *= step_memory_[i] * step_memory_[j];
+      }
+    }
+  }
+
   const LinearSystem& system_;
   std::size_t order_;
   std::vector<double> mean_;        // [order][columns]

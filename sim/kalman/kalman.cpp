@@ -39,16 +39,9 @@ void track(const LinearSystem& system, double* predicted, double* filtered) {
 
 namespace {
 
-// Modified Bryson-Frazier smoother: an adjoint vector and its matrix run backwards. Nothing is
-// inverted, so disturbances of variance 0 and exactly known states are no special case. G. J.
-// Bierman, Automatica 9 (1973) 503. Uses the first column only.
-// Calls `visit(step, record, adjoint, matrix)` for each step, the last first.
-template <typename Visit>
-void backward(const LinearSystem& system, Visit visit) {
-  const std::size_t states = system.states;
-  const std::size_t order = states + system.disturbances;
-  Filter filter(system);
-  // Forward pass: the filter, with a record of each step.
+// Runs the filter, and returns the record of each step.
+std::vector<StepRecord> forward(const LinearSystem& system, Filter& filter) {
+  const std::size_t order = system.states + system.disturbances;
   std::vector<StepRecord> records(system.steps);
   std::vector<double> unused(system.outputs * system.columns);
   std::vector<double> log_variances(system.outputs, 0.0);
@@ -64,91 +57,118 @@ void backward(const LinearSystem& system, Visit visit) {
       filter.predict(step);
     }
   }
-  // Backward pass.
-  std::vector<double> adjoint(order, 0.0);
-  std::vector<double> matrix(order * order, 0.0);
-  std::vector<double> product(order * order);
-  std::vector<double> line(order);
-  for (std::size_t step = system.steps; step-- > 0;) {
-    if (step + 1 < system.steps) {
-      // Back through the prediction: F' adjoint, F' matrix F with F = [transition
-      // disturbance_input; 0 memory].
-      const double* phi = system.transition + step * states * states;
-      const double* input = filter.disturbance_input(step);
-      // Element (i, j) of F.
-      const auto entry = [&](std::size_t i, std::size_t j) {
-        if (i < states) {
-          return j < states ? phi[i * states + j] : input[i * system.disturbances + j - states];
-        }
-        return i == j ? filter.step_memory()[i - states] : 0.0;
-      };
+  return records;
+}
+
+// Adjoint vector of the state, and its matrix, while they run backwards.
+struct Adjoint {
+  explicit Adjoint(const LinearSystem& of)
+      : system(of),
+        order(of.states + of.disturbances),
+        vector(order, 0.0),
+        matrix(order * order, 0.0),
+        product(order * order),
+        line(order) {}
+
+  // Back through the prediction: F' vector and F' matrix F with F = [transition disturbance_input;
+  // 0 memory].
+  void through_prediction(std::size_t step, Filter& filter) {
+    const std::size_t states = system.states;
+    const double* phi = system.transition + step * states * states;
+    const double* input = filter.disturbance_input(step);
+    // Element (i, j) of F.
+    const auto entry = [&](std::size_t i, std::size_t j) {
+      if (i < states) {
+        return j < states ? phi[i * states + j] : input[i * system.disturbances + j - states];
+      }
+      return i == j ? filter.step_memory()[i - states] : 0.0;
+    };
+    for (std::size_t j = 0; j < order; ++j) {
+      double sum = 0.0;
+      for (std::size_t i = 0; i < order; ++i) {
+        sum += entry(i, j) * vector[i];
+      }
+      line[j] = sum;
+    }
+    vector = line;
+    // product = matrix F, then matrix = F' product.
+    for (std::size_t i = 0; i < order; ++i) {
       for (std::size_t j = 0; j < order; ++j) {
         double sum = 0.0;
-        for (std::size_t i = 0; i < order; ++i) {
-          sum += entry(i, j) * adjoint[i];
+        for (std::size_t k = 0; k < order; ++k) {
+          sum += matrix[i * order + k] * entry(k, j);
         }
-        line[j] = sum;
-      }
-      adjoint = line;
-      // product = matrix F, then matrix = F' product.
-      for (std::size_t i = 0; i < order; ++i) {
-        for (std::size_t j = 0; j < order; ++j) {
-          double sum = 0.0;
-          for (std::size_t k = 0; k < order; ++k) {
-            sum += matrix[i * order + k] * entry(k, j);
-          }
-          product[i * order + j] = sum;
-        }
-      }
-      for (std::size_t i = 0; i < order; ++i) {
-        for (std::size_t j = 0; j < order; ++j) {
-          double sum = 0.0;
-          for (std::size_t k = 0; k < order; ++k) {
-            sum += entry(k, i) * product[k * order + j];
-          }
-          matrix[i * order + j] = sum;
-        }
+        product[i * order + j] = sum;
       }
     }
-    const StepRecord& now = records[step];
-    // Back through the measurements, the last output first: with row h, gain k, innovation e and
-    // its variance v, adjoint' = (I - k h)' adjoint - h e / v and matrix' = (I - k h)' matrix (I -
-    // k h) + h' h / v.
-    for (std::size_t output = system.outputs; output-- > 0;) {
-      if (!(now.variance[output] > 0.0)) {
-        continue;
-      }
-      const double* row = system.measurement + (step * system.outputs + output) * states;
-      const double* gain = now.gain.data() + output * order;
-      // k' adjoint, matrix k (in `line`) and k' matrix k.
-      double gain_dot_adjoint = 0.0;
-      for (std::size_t i = 0; i < order; ++i) {
-        gain_dot_adjoint += gain[i] * adjoint[i];
+    for (std::size_t i = 0; i < order; ++i) {
+      for (std::size_t j = 0; j < order; ++j) {
         double sum = 0.0;
-        for (std::size_t j = 0; j < order; ++j) {
-          sum += matrix[i * order + j] * gain[j];
+        for (std::size_t k = 0; k < order; ++k) {
+          sum += entry(k, i) * product[k * order + j];
         }
-        line[i] = sum;
-      }
-      double quadratic = 0.0;
-      for (std::size_t i = 0; i < order; ++i) {
-        quadratic += gain[i] * line[i];
-      }
-      // The equations above, multiplied out: h has only entries of states.
-      const double inverse = 1.0 / now.variance[output];
-      for (std::size_t i = 0; i < states; ++i) {
-        adjoint[i] -= row[i] * (gain_dot_adjoint + now.innovation[output] * inverse);
-      }
-      for (std::size_t i = 0; i < order; ++i) {
-        const double own = i < states ? row[i] : 0.0;
-        for (std::size_t j = 0; j < order; ++j) {
-          const double other = j < states ? row[j] : 0.0;
-          matrix[i * order + j] +=
-              own * other * (inverse + quadratic) - own * line[j] - line[i] * other;
-        }
+        matrix[i * order + j] = sum;
       }
     }
-    visit(step, now, adjoint, matrix);
+  }
+
+  // Back through one measurement: with row h, gain k, innovation e and its variance v,
+  // vector' = (I - k h)' vector - h e / v and matrix' = (I - k h)' matrix (I - k h) + h' h / v.
+  void through_measurement(const double* row, const double* gain, double innovation,
+                           double variance) {
+    const std::size_t states = system.states;
+    const double gain_dot_vector = dot(gain, vector.data(), order);
+    // Matrix k, and k' matrix k.
+    for (std::size_t i = 0; i < order; ++i) {
+      line[i] = dot(matrix.data() + i * order, gain, order);
+    }
+    const double quadratic = dot(gain, line.data(), order);
+    // The equations above, multiplied out: h has only entries of states.
+    const double inverse = 1.0 / variance;
+    for (std::size_t i = 0; i < states; ++i) {
+      vector[i] -= row[i] * (gain_dot_vector + innovation * inverse);
+    }
+    for (std::size_t i = 0; i < order; ++i) {
+      const double h_i = i < states ? row[i] : 0.0;
+      for (std::size_t j = 0; j < order; ++j) {
+        const double h_j = j < states ? row[j] : 0.0;
+        matrix[i * order + j] += h_i * h_j * (inverse + quadratic) - h_i * line[j] - line[i] * h_j;
+      }
+    }
+  }
+
+  const LinearSystem& system;
+  std::size_t order;
+  std::vector<double> vector;   // [order]
+  std::vector<double> matrix;   // [order][order]
+  std::vector<double> product;  // scratch, [order][order]
+  std::vector<double> line;     // scratch, [order]
+};
+
+// Modified Bryson-Frazier smoother: an adjoint vector and its matrix run backwards. Nothing is
+// inverted, so disturbances of variance 0 and exactly known states are no special case. G. J.
+// Bierman, Automatica 9 (1973) 503. Uses the first column only.
+// Calls `visit(step, record, adjoint, matrix)` for each step, the last first.
+template <typename Visit>
+void backward(const LinearSystem& system, Visit visit) {
+  Filter filter(system);
+  const std::vector<StepRecord> records = forward(system, filter);
+  const std::size_t order = system.states + system.disturbances;
+  Adjoint adjoint(system);
+  for (std::size_t step = system.steps; step-- > 0;) {
+    if (step + 1 < system.steps) {
+      adjoint.through_prediction(step, filter);
+    }
+    // The measurements were used one after the other: the last output first.
+    const StepRecord& now = records[step];
+    for (std::size_t output = system.outputs; output-- > 0;) {
+      if (now.variance[output] > 0.0) {
+        const std::size_t row = (step * system.outputs + output) * system.states;
+        adjoint.through_measurement(system.measurement + row, now.gain.data() + output * order,
+                                    now.innovation[output], now.variance[output]);
+      }
+    }
+    visit(step, now, adjoint.vector, adjoint.matrix);
   }
 }
 

@@ -42,6 +42,23 @@ HELI_INLINE void add_rows(const double* weights, std::size_t count, const double
   add_columns<1>(weights, count, table, columns, c, to);
 }
 
+// Sum of products of two rows of `count` numbers, of which the second has a `stride`.
+HELI_INLINE double dot(const double* a, const double* b, std::size_t count,
+                       std::size_t stride = 1) {
+  double sum = 0.0;
+  for (std::size_t j = 0; j < count; ++j) {
+    sum += a[j] * b[j * stride];
+  }
+  return sum;
+}
+
+// Subtracts or adds a multiple of a row: to[c] += weight row[c].
+HELI_INLINE void add_multiple(double weight, const double* row, std::size_t count, double* to) {
+  for (std::size_t c = 0; c < count; ++c) {
+    to[c] += weight * row[c];
+  }
+}
+
 // e' = transition e + input w + drive, w' = memory^parts w + noise, y = measurement e + error; a
 // prime is the next step. Matrices are row-major, one per step. `columns` signals are filtered with
 // the same gains, because filtering is linear. A step has one or more equal parts. The disturbances

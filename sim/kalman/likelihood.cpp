@@ -103,143 +103,180 @@ HELI_INLINE void combine(const Weight* weights, std::size_t count, const Lanes* 
 }
 
 // The filter of filter.hpp for one column and four models of the disturbances at once; a fast and a
-// slow one for each output and gain. The innovations are not kept: writes the log-likelihood of
-// each output, with the logarithms of a few variances taken together.
+// slow one for each output and gain. The innovations are not kept.
 template <std::size_t kOutputs, std::size_t kStates, std::size_t kGains>
-HELI_INLINE void follow(const LinearSystem& system, const FourModels& models, Lanes* values) {
-  constexpr std::size_t kDisturbances = 2 * (kOutputs + kGains);
-  constexpr std::size_t kOrder = kStates + kDisturbances;
-  const std::size_t kind = system.kind;
-  Lanes mean[kOrder];
-  Lanes next[kStates];
-  Lanes covariance[kOrder * kOrder];
-  Lanes product[kStates * kOrder];
-  Lanes gain[kOrder];
-  Lanes input[kStates * kDisturbances];
-  Lanes products[kOutputs];
-  // Initial mean and covariance.
-  std::fill(mean, mean + kOrder, all(0.0));
-  std::fill(covariance, covariance + kOrder * kOrder, all(0.0));
-  for (std::size_t i = 0; i < kStates; ++i) {
-    covariance[i * (kOrder + 1)] = all(system.initial_variance[i]);
+class FourFilters {
+ public:
+  HELI_INLINE FourFilters(const LinearSystem& system, const FourModels& models)
+      : system_(system), models_(models) {
+    std::fill(mean_, mean_ + kOrder, all(0.0));
+    std::fill(covariance_, covariance_ + kOrder * kOrder, all(0.0));
+    for (std::size_t i = 0; i < kStates; ++i) {
+      covariance_[i * (kOrder + 1)] = all(system.initial_variance[i]);
+    }
+    for (std::size_t i = 0; i < kDisturbances; ++i) {
+      covariance_[(kStates + i) * (kOrder + 1)] = models.disturbance_variance[i];
+    }
+    std::fill(variance_products_, variance_products_ + kOutputs, all(1.0));
   }
-  for (std::size_t i = 0; i < kDisturbances; ++i) {
-    covariance[(kStates + i) * (kOrder + 1)] = models.disturbance_variance[i];
-  }
-  for (std::size_t output = 0; output < kOutputs; ++output) {
-    values[output] = all(0.0);
-    products[output] = all(1.0);
-  }
-  for (std::size_t step = 0; step < system.steps; ++step) {
-    // Measurement update, one output after the other.
+
+  // Measurement update, one output after the other. Adds the part of the innovations' squares to
+  // the log-likelihoods, [outputs].
+  HELI_INLINE void update(std::size_t step, Lanes* log_likelihoods) {
     for (std::size_t output = 0; output < kOutputs; ++output) {
-      const double error = system.measurement_variance[step * kOutputs + output];
+      const double error = system_.measurement_variance[step * kOutputs + output];
       if (!(error > 0.0)) {
-        continue;
+        continue;  // nothing was measured
       }
-      const double* row = system.measurement + (step * kOutputs + output) * kStates;
-      std::fill(gain, gain + kOrder, all(0.0));
-      Lanes innovation = all(system.measured[(step * kOutputs + output) * system.columns]);
+      const double* row = system_.measurement + (step * kOutputs + output) * kStates;
+      // Covariance of the output with each state, P h', and the innovation, measured - h mean.
+      std::fill(gain_, gain_ + kOrder, all(0.0));
+      Lanes innovation = all(system_.measured[(step * kOutputs + output) * system_.columns]);
       for (std::size_t j = 0; j < kStates; ++j) {
         const double weight = row[j];
         if (weight == 0.0) {
           continue;
         }
-        innovation -= weight * mean[j];
-        const Lanes* line = covariance + j * kOrder;
+        innovation -= weight * mean_[j];
+        const Lanes* line = covariance_ + j * kOrder;
         for (std::size_t i = 0; i < kOrder; ++i) {
-          gain[i] += weight * line[i];
+          gain_[i] += weight * line[i];
         }
       }
-      Lanes variance = models.scale[output] * error;
+      Lanes variance = models_.scale[output] * error;
       for (std::size_t j = 0; j < kStates; ++j) {
-        variance += row[j] * gain[j];
+        variance += row[j] * gain_[j];
       }
       const Lanes inverse = 1.0 / variance;
-      values[output] -= 0.5 * innovation * innovation * inverse;
-      products[output] *= variance;
+      log_likelihoods[output] -= 0.5 * innovation * innovation * inverse;
+      variance_products_[output] *= variance;
+      // mean += K innovation and P -= K h P.
       innovation *= inverse;
       for (std::size_t i = 0; i < kOrder; ++i) {
-        mean[i] += gain[i] * innovation;
-        const Lanes weight = gain[i] * inverse;
-        Lanes* line = covariance + i * kOrder;
+        mean_[i] += gain_[i] * innovation;
+        const Lanes weight = gain_[i] * inverse;
+        Lanes* line = covariance_ + i * kOrder;
         for (std::size_t j = 0; j < kOrder; ++j) {
-          line[j] -= weight * gain[j];
+          line[j] -= weight * gain_[j];
         }
       }
     }
-    if (step % kProduct == kProduct - 1 || step + 1 == system.steps) {
-      for (std::size_t output = 0; output < kOutputs; ++output) {
-        for (std::size_t lane = 0; lane < kLanes; ++lane) {
-          values[output][lane] -= 0.5 * std::log(products[output][lane]);
-        }
-        products[output] = all(1.0);
+  }
+
+  // Adds the part of the variances since the last call to the log-likelihoods, [outputs].
+  HELI_INLINE void take_logarithms(Lanes* log_likelihoods) {
+    for (std::size_t output = 0; output < kOutputs; ++output) {
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        log_likelihoods[output][lane] -= 0.5 * std::log(variance_products_[output][lane]);
       }
+      variance_products_[output] = all(1.0);
     }
-    if (step + 1 == system.steps) {
-      break;
+  }
+
+  // Time update: mean and covariance through F, plus the disturbances' new noise.
+  HELI_INLINE void predict(std::size_t step) {
+    set_disturbance_input(step);
+    const double* phi = system_.transition + step * kStates * kStates;
+    Lanes next[kStates];  // the states' rows of F mean + drive
+    for (std::size_t i = 0; i < kStates; ++i) {
+      Lanes sum = all(system_.drive[(step * kStates + i) * system_.columns]);
+      for (std::size_t j = 0; j < kStates; ++j) {
+        sum += phi[i * kStates + j] * mean_[j];
+      }
+      for (std::size_t j = 0; j < kDisturbances; ++j) {
+        sum += input_[i * kDisturbances + j] * mean_[kStates + j];
+      }
+      next[i] = sum;
+      combine<kOrder>(phi + i * kStates, kStates, covariance_, product_ + i * kOrder, false);
+      combine<kOrder>(input_ + i * kDisturbances, kDisturbances, covariance_ + kStates * kOrder,
+                      product_ + i * kOrder, true);
     }
-    // Effect of each disturbance on the states, over the parts of the step.
-    std::fill(input, input + kStates * kDisturbances, all(0.0));
+    std::copy(next, next + kStates, mean_);
+    for (std::size_t i = 0; i < kDisturbances; ++i) {
+      mean_[kStates + i] *= models_.step_memory[i];
+    }
+    propagate_covariance(phi);
+  }
+
+ private:
+  static constexpr std::size_t kDisturbances = 2 * (kOutputs + kGains);
+  static constexpr std::size_t kOrder = kStates + kDisturbances;
+
+  // Effect of each disturbance on the states, over the parts of the step.
+  HELI_INLINE void set_disturbance_input(std::size_t step) {
+    const std::size_t kind = system_.kind;
+    std::fill(input_, input_ + kStates * kDisturbances, all(0.0));
     for (std::size_t first = 0; first < kDisturbances; first += kind) {
       for (std::size_t k = 0; k < kind; ++k) {
         Lanes remaining = all(1.0);  // of the disturbance, at the part's beginning
-        for (std::size_t part = 0; part < system.parts; ++part) {
+        for (std::size_t part = 0; part < system_.parts; ++part) {
           const double* from =
-              system.part_input + (part * system.steps + step) * kStates * kind + k;
+              system_.part_input + (part * system_.steps + step) * kStates * kind + k;
           for (std::size_t i = 0; i < kStates; ++i) {
-            input[i * kDisturbances + first + k] += remaining * from[i * kind];
+            input_[i * kDisturbances + first + k] += remaining * from[i * kind];
           }
-          remaining *= models.memory[first + k];
+          remaining *= models_.memory[first + k];
         }
       }
     }
-    // Time update: the mean, and F times the covariance.
-    const double* phi = system.transition + step * kStates * kStates;
+  }
+
+  // The covariance becomes F P F', from the product F P, plus the disturbances' new noise.
+  HELI_INLINE void propagate_covariance(const double* phi) {
     for (std::size_t i = 0; i < kStates; ++i) {
-      Lanes sum = all(system.drive[(step * kStates + i) * system.columns]);
-      for (std::size_t j = 0; j < kStates; ++j) {
-        sum += phi[i * kStates + j] * mean[j];
-      }
-      for (std::size_t j = 0; j < kDisturbances; ++j) {
-        sum += input[i * kDisturbances + j] * mean[kStates + j];
-      }
-      next[i] = sum;
-      combine<kOrder>(phi + i * kStates, kStates, covariance, product + i * kOrder, false);
-      combine<kOrder>(input + i * kDisturbances, kDisturbances, covariance + kStates * kOrder,
-                      product + i * kOrder, true);
-    }
-    // Then the covariance: F P F' plus the disturbances' new noise.
-    std::copy(next, next + kStates, mean);
-    for (std::size_t i = 0; i < kDisturbances; ++i) {
-      mean[kStates + i] *= models.step_memory[i];
-    }
-    for (std::size_t i = 0; i < kStates; ++i) {
-      const Lanes* line = product + i * kOrder;
+      const Lanes* line = product_ + i * kOrder;
       for (std::size_t k = 0; k <= i; ++k) {
         Lanes sum = all(0.0);
         for (std::size_t j = 0; j < kStates; ++j) {
           sum += line[j] * phi[k * kStates + j];
         }
         for (std::size_t j = 0; j < kDisturbances; ++j) {
-          sum += line[kStates + j] * input[k * kDisturbances + j];
+          sum += line[kStates + j] * input_[k * kDisturbances + j];
         }
-        covariance[i * kOrder + k] = sum;
-        covariance[k * kOrder + i] = sum;
+        covariance_[i * kOrder + k] = sum;
+        covariance_[k * kOrder + i] = sum;
       }
       for (std::size_t j = 0; j < kDisturbances; ++j) {
-        const Lanes sum = line[kStates + j] * models.step_memory[j];
-        covariance[i * kOrder + kStates + j] = sum;
-        covariance[(kStates + j) * kOrder + i] = sum;
+        const Lanes element = line[kStates + j] * models_.step_memory[j];
+        covariance_[i * kOrder + kStates + j] = element;
+        covariance_[(kStates + j) * kOrder + i] = element;
       }
     }
     for (std::size_t i = 0; i < kDisturbances; ++i) {
       for (std::size_t j = 0; j < kDisturbances; ++j) {
-        covariance[(kStates + i) * kOrder + kStates + j] *=
-            models.step_memory[i] * models.step_memory[j];
+        covariance_[(kStates + i) * kOrder + kStates + j] *=
+            models_.step_memory[i] * models_.step_memory[j];
       }
-      const Lanes lost = 1.0 - models.step_memory[i] * models.step_memory[i];
-      covariance[(kStates + i) * (kOrder + 1)] += lost * models.disturbance_variance[i];
+      const Lanes lost = 1.0 - models_.step_memory[i] * models_.step_memory[i];
+      covariance_[(kStates + i) * (kOrder + 1)] += lost * models_.disturbance_variance[i];
+    }
+  }
+
+  const LinearSystem& system_;
+  const FourModels& models_;
+  Lanes mean_[kOrder];
+  Lanes covariance_[kOrder * kOrder];
+  Lanes product_[kStates * kOrder];  // the states' rows of F covariance
+  Lanes gain_[kOrder];               // scratch
+  Lanes input_[kStates * kDisturbances];
+  Lanes variance_products_[kOutputs];  // of the innovations, since take_logarithms()
+};
+
+// Filters all steps, and writes the log-likelihood of each output. The logarithms of a few
+// variances are taken together.
+template <std::size_t kOutputs, std::size_t kStates, std::size_t kGains>
+HELI_INLINE void follow(const LinearSystem& system, const FourModels& models,
+                        Lanes* log_likelihoods) {
+  FourFilters<kOutputs, kStates, kGains> filters(system, models);
+  std::fill(log_likelihoods, log_likelihoods + kOutputs, all(0.0));
+  for (std::size_t step = 0; step < system.steps; ++step) {
+    filters.update(step, log_likelihoods);
+    const bool is_last = step + 1 == system.steps;
+    if (is_last || step % kProduct == kProduct - 1) {
+      filters.take_logarithms(log_likelihoods);
+    }
+    if (!is_last) {
+      filters.predict(step);
     }
   }
 }
