@@ -84,12 +84,22 @@ constexpr std::uint32_t kRncr = 0x114;
 constexpr std::uint32_t kPtcr = 0x120;
 constexpr std::uint32_t kPtsr = 0x124;
 
+// ADC_CR
+constexpr std::uint32_t kSwrst = 1U << 0;
+constexpr std::uint32_t kStart = 1U << 1;
+// ADC_PTCR
+constexpr std::uint32_t kRxTen = 1U << 0;
+constexpr std::uint32_t kRxTdis = 1U << 1;
+constexpr std::uint32_t kAllChannels = 0xFFFF;
 // ADC_MR
 constexpr std::uint32_t kTriggered = 1U << 0;  // TRGEN
 constexpr std::uint32_t kLowResolution = 1U << 4;
 constexpr std::uint32_t kSleep = 1U << 5;
 constexpr std::uint32_t kFreeRun = 1U << 7;
 constexpr std::uint32_t kSequence = 1U << 31;
+constexpr Field kPrescal{8, 8};
+constexpr Field kStartupField{16, 4};
+constexpr Field kTracktim{24, 4};
 // STARTUP: periods of the converter's clock from sleep to the first conversion.
 constexpr std::uint32_t kStartup[] = {0,   8,   16,  24,  64,  80,  96,  112,
                                       512, 576, 640, 704, 768, 832, 896, 960};
@@ -129,7 +139,7 @@ void Adc::reset() {
 }
 
 // Period of the converter's clock in cycles of MCK: (PRESCAL + 1) times 2.
-std::uint64_t Adc::period() const { return (((mode_ >> 8) & 0xFFU) + 1) * 2; }
+std::uint64_t Adc::period() const { return (kPrescal.of(mode_) + 1) * 2; }
 
 // ADC_ISR as it is now.
 std::uint32_t Adc::flags() const {
@@ -139,10 +149,10 @@ std::uint32_t Adc::flags() const {
 
 // See adc.hpp. Each conversion also takes the tracking time, ADC_MR.TRACKTIM + 1 periods.
 bool Adc::convert_from(int channel, std::uint64_t wait) {
-  while (channel < kChannels && ((channels_ >> channel) & 1U) == 0) ++channel;
+  while (channel < kChannels && !has_bit(channels_, channel)) ++channel;
   running_ = channel < kChannels ? channel : -1;
   if (running_ < 0) return false;
-  const std::uint64_t tracking = ((mode_ >> 24) & 0xFU) + 1;
+  const std::uint64_t tracking = kTracktim.of(mode_) + 1;
   system_.scheduler.set(id_, system_.now() + (wait + tracking + kConversion) * period());
   return true;
 }
@@ -152,7 +162,7 @@ bool Adc::convert_from(int channel, std::uint64_t wait) {
 void Adc::start() {
   if (running_ >= 0) return;
   const bool was_awake = std::exchange(awake_, (mode_ & kSleep) == 0);
-  convert_from(0, was_awake ? 0 : kStartup[(mode_ >> 16) & 0xFU]);
+  convert_from(0, was_awake ? 0 : kStartup[kStartupField.of(mode_)]);
 }
 
 // The end of a conversion: 12 bits (or 10) of the input relative to the reference, and the flags.
@@ -262,13 +272,13 @@ void Adc::write_mode(std::uint32_t value) {
 void Adc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kCr:
-      if ((value & 1U) != 0) return reset();  // SWRST
-      if ((value & 2U) != 0) start();         // START
+      if ((value & kSwrst) != 0) return reset();
+      if ((value & kStart) != 0) start();
       return;
     case kMr:
       return write_mode(value);
     case kCher:
-      channels_ |= value & 0xFFFFU;
+      channels_ |= value & kAllChannels;
       if ((mode_ & kFreeRun) != 0) start();
       return;
     case kChdr:
@@ -276,7 +286,7 @@ void Adc::write(std::uint32_t offset, std::uint32_t value) {
       return;
     case kIer:
       if ((value & kComparison) != 0) not_modelled(offset, "comparison is not modelled");
-      interrupts_ |= value & (0xFFFFU | kDrdy | kGovre | kEndRx | kRxBuff);
+      interrupts_ |= value & (kAllChannels | kDrdy | kGovre | kEndRx | kRxBuff);
       break;
     case kIdr:
       interrupts_ &= ~value;
@@ -310,8 +320,8 @@ void Adc::write(std::uint32_t offset, std::uint32_t value) {
       if (transfer_.next_count != 0) transfer_.ended = transfer_.full = false;
       break;
     case kPtcr:
-      if ((value & 1U) != 0) transfer_.enabled = true;   // RXTEN
-      if ((value & 2U) != 0) transfer_.enabled = false;  // RXTDIS
+      if ((value & kRxTen) != 0) transfer_.enabled = true;
+      if ((value & kRxTdis) != 0) transfer_.enabled = false;
       return;
     default:
       return;

@@ -45,6 +45,8 @@ constexpr std::uint32_t kImr = 0x2C;
 constexpr std::uint32_t kIsr = 0x30;
 constexpr std::uint32_t kAcr = 0x94;
 
+constexpr std::uint32_t kSwrst = 1U << 0;   // DACC_CR
+constexpr std::uint32_t kBothChannels = 3;  // DACC_CHER
 // DACC_MR
 constexpr std::uint32_t kTriggered = 1U << 0;  // TRGEN
 constexpr std::uint32_t kWord = 1U << 4;       // DACC_CDR takes two values at once
@@ -55,7 +57,8 @@ constexpr std::uint32_t kAcrMask = 0x30F;      // IBCTLCH0, IBCTLCH1, IBCTLDACCO
 // DACC_ISR
 constexpr std::uint32_t kTxRdy = 1U << 0;
 constexpr std::uint32_t kEoc = 1U << 1;
-constexpr std::size_t kQueue = 4;  // values in the FIFO
+constexpr std::uint32_t kPdcFlags = 3U << 2;  // ENDTX, TXBUFE
+constexpr std::size_t kQueue = 4;             // values in the FIFO
 // A conversion takes 25 periods of MCK / 2.
 constexpr std::uint64_t kCycles = 50;
 // Outputs go from a sixth to five sixths of the reference, 0.55 to 2.75 V on a Due.
@@ -79,7 +82,7 @@ void Dacc::reset() {
 // See dacc.hpp. Codes 0 to 4095 give one sixth to five sixths of the reference.
 double Dacc::output_V(int channel) const {
   const auto index = static_cast<std::size_t>(channel);
-  if (((channels_ >> index) & 1U) == 0) return 0.0;
+  if (!has_bit(channels_, index)) return 0.0;
   return kReference_V * (1.0 + 4.0 * code_.at(index) / 4095.0) / 6.0;
 }
 
@@ -92,7 +95,7 @@ std::uint32_t Dacc::flags() const {
 // Puts a value of 12 bits into the FIFO.
 void Dacc::queue(std::uint32_t half_word) {
   const std::size_t channel = ((mode_ & kTag) != 0 ? half_word >> 12 : mode_ >> kUserSel) & 1U;
-  if (((channels_ >> channel) & 1U) == 0) {
+  if (!has_bit(channels_, channel)) {
     return misuse(kCdr, "value for channel " + std::to_string(channel) + ", which is off");
   }
   if (waiting_.size() == kQueue) return misuse(kCdr, "write while DACC_ISR.TXRDY is 0");
@@ -136,14 +139,14 @@ std::uint32_t Dacc::read(std::uint32_t offset) {
 void Dacc::write(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kCr:
-      if ((value & 1U) != 0) return reset();  // SWRST
+      if ((value & kSwrst) != 0) return reset();
       return;
     case kMr:
       if ((value & kTriggered) != 0) not_modelled(offset, "triggers are not modelled");
       mode_ = value & kMrMask;
       return;
     case kCher:
-      channels_ |= value & 3U;
+      channels_ |= value & kBothChannels;
       break;
     case kChdr:
       channels_ &= ~value;
@@ -153,8 +156,8 @@ void Dacc::write(std::uint32_t offset, std::uint32_t value) {
       if ((mode_ & kWord) != 0) queue(value >> 16);
       break;
     case kIer:
-      if ((value & 0xCU) != 0) not_modelled(offset, "the PDC is not modelled");
-      interrupts_ |= value & 3U;
+      if ((value & kPdcFlags) != 0) not_modelled(offset, "the PDC is not modelled");
+      interrupts_ |= value & (kTxRdy | kEoc);
       break;
     case kIdr:
       interrupts_ &= ~value;

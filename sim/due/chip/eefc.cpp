@@ -41,7 +41,10 @@ constexpr std::uint32_t kGgpb = 0x0D;
 // EEFC_FMR
 constexpr std::uint32_t kFmrMask = 0x01010F01;  // FAM, SCOD, FWS, FRDY
 constexpr std::uint32_t kFrdyInterrupt = 1U << 0;
-constexpr unsigned kFwsShift = 8;
+constexpr Field kFws{8, 4};   // EEFC_FMR: wait states
+constexpr Field kFcmd{0, 8};  // EEFC_FCR: command, argument and key
+constexpr Field kFarg{8, 16};
+constexpr Field kFkey{24, 8};
 
 // EEFC_FSR
 constexpr std::uint32_t kFrdy = 1U << 0;
@@ -204,7 +207,7 @@ void FlashController::write(std::uint32_t offset, std::uint32_t value) {
   if (busy()) misuse(offset, "write while the plane is being programmed");
   mode_ = value & kFmrMask;
   update_irq();
-  const std::uint32_t wait_states = (value >> kFwsShift) & 0xFU;
+  const std::uint32_t wait_states = kFws.of(value);
   set_wait_states(wait_states);
   const std::uint32_t mck_Hz = system_.clock.mck_Hz();
   if (mck_Hz > flash_limit_Hz(wait_states)) {
@@ -231,13 +234,13 @@ void FlashController::check_caller() const {
 void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime erase,
                             BoardTime write) {
   const std::uint32_t region = page * kPage / kLockRegion;
-  const bool locked = code == kEa ? locks_ != 0 : ((locks_ >> region) & 1U) != 0;
+  const bool locked = code == kEa ? locks_ != 0 : has_bit(locks_, region);
   if (code <= kEa && locked) {
     errors_ |= kFlocke;
     return;
   }
-  if (code <= kEa && ((mode_ >> kFwsShift) & 0xFU) < kWriteWaitStates) {
-    misuse(kFcr, "flash is written with FWS = " + std::to_string((mode_ >> kFwsShift) & 0xFU) +
+  if (code <= kEa && kFws.of(mode_) < kWriteWaitStates) {
+    misuse(kFcr, "flash is written with FWS = " + std::to_string(kFws.of(mode_)) +
                      "; the errata ask for 6");
   }
   command_ = code | kBusyMark;
@@ -254,9 +257,9 @@ void FlashController::start(std::uint32_t code, std::uint32_t page, BoardTime er
 // EEFC_FCR: key, command and argument (a page, a lock region's page or a GPNVM bit).
 void FlashController::command(std::uint32_t value) {
   ++stores_;
-  const std::uint32_t code = value & 0xFFU;
-  const std::uint32_t argument = (value >> 8) & 0xFFFFU;
-  if ((value >> 24) != kKey) {
+  const std::uint32_t code = kFcmd.of(value);
+  const std::uint32_t argument = kFarg.of(value);
+  if (kFkey.of(value) != kKey) {
     errors_ |= kFcmde;
     return misuse(kFcr, "command without the key 0x5A");
   }

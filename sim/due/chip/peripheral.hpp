@@ -22,6 +22,21 @@ inline constexpr std::uint8_t kUnclocked = 8;   // works without the peripheral'
 inline constexpr std::uint8_t kProtected = 16;  // refused while write protection is on
 }  // namespace access
 
+// A field of a register: `width` bits from bit `low` on.
+struct Field {
+  unsigned low;
+  unsigned width;
+  constexpr std::uint32_t of(std::uint32_t bits) const {
+    return (bits >> low) & ((1U << width) - 1);
+  }
+};
+
+// Whether a bit of a register is 1, such as that of a channel or a pin.
+template <typename Number>
+constexpr bool has_bit(std::uint32_t bits, Number number) {
+  return ((bits >> number) & 1U) != 0;
+}
+
 struct Register {
   std::uint16_t offset;
   const char* name;

@@ -101,6 +101,18 @@ constexpr std::uint32_t kPllarOne = 1U << 29;
 constexpr std::uint32_t kUsbs = 1;       // PMC_USB.USBS: UPLL, otherwise PLLA
 constexpr std::uint32_t kPck = 7U << 8;  // PMC_SCER.PCK0 to PCK2
 
+// Fields of CKGR_MOR, CKGR_PLLAR, CKGR_UCKR and PMC_MCKR.
+constexpr Field kMoscRcf{4, 2};
+constexpr Field kMoscXtSt{8, 8};
+constexpr Field kMorKeyField{16, 8};
+constexpr Field kDivA{0, 8};
+constexpr Field kPllaCount{8, 6};
+constexpr Field kMulA{16, 11};
+constexpr Field kUpllCount{20, 4};
+constexpr Field kPresField{4, 3};
+
+constexpr std::uint32_t kUsbMask = 0xF01;    // PMC_USB: USBDIV, USBS
+constexpr std::uint32_t kProtect = 1U << 0;  // PMC_WPMR.WPEN
 constexpr std::uint32_t kMorKey = 0x37;
 constexpr std::uint32_t kProtectKey = 0x504D43;
 // Peripherals 8 to 44 have a clock that can be switched; RSTC to EEFC always run.
@@ -144,13 +156,13 @@ void Pmc::reset() {
 std::uint32_t Pmc::main_Hz() const {
   if ((main_oscillator_ & kMoscSel) != 0) return kCrystal_Hz;
   static constexpr std::uint32_t kRc_Hz[] = {4000000, 8000000, 12000000, 12000000};
-  return kRc_Hz[(main_oscillator_ >> 4) & 3U];
+  return kRc_Hz[kMoscRcf.of(main_oscillator_)];
 }
 
 // PLLA: main clock / DIVA * (MULA + 1); 0 Hz while it is off.
 std::uint32_t Pmc::plla_Hz() const {
-  const std::uint32_t divider = plla_ & 0xFFU;
-  const std::uint32_t multiplier = (plla_ >> 16) & 0x7FFU;
+  const std::uint32_t divider = kDivA.of(plla_);
+  const std::uint32_t multiplier = kMulA.of(plla_);
   if (divider == 0 || multiplier == 0) return 0;
   return main_Hz() / divider * (multiplier + 1);
 }
@@ -171,7 +183,7 @@ std::uint32_t Pmc::master_Hz(std::uint32_t mckr) const {
     default:
       break;
   }
-  const std::uint32_t prescaler = (mckr >> 4) & 7U;
+  const std::uint32_t prescaler = kPresField.of(mckr);
   // PRES 7 divides by 3, the others by powers of 2.
   return prescaler == 7 ? hz / 3 : hz >> prescaler;
 }
@@ -260,12 +272,12 @@ std::uint32_t Pmc::read(std::uint32_t offset) {
 
 // CKGR_MOR: switches crystal and RC oscillator, and chooses the main clock.
 void Pmc::write_main_oscillator(std::uint32_t value) {
-  if (((value >> 16) & 0xFFU) != kMorKey) return misuse(kMor, "write without the key 0x37");
+  if (kMorKeyField.of(value) != kMorKey) return misuse(kMor, "write without the key 0x37");
   const std::uint32_t before = main_oscillator_;
   main_oscillator_ = value & ~0x00FF0000U;  // KEY reads 0
   if ((value & kMoscXtEn) != 0 && (before & kMoscXtEn) == 0) {
     // MOSCXTST counts eight periods of the slow clock each.
-    const std::uint32_t startup = 8 * ((value >> 8) & 0xFFU);
+    const std::uint32_t startup = 8 * kMoscXtSt.of(value);
     crystal_ready_ = system_.board_now() + system_.slow_periods(startup + 1);
     crystal_steady_ = system_.board_now() + kCrystalStart;
   }
@@ -299,8 +311,7 @@ void Pmc::write_plla(std::uint32_t value) {
     if (hz < kPllaLowest_Hz || hz > kPllaHighest_Hz) {
       misuse(kPllar, "PLLA at " + std::to_string(hz) + " Hz is outside of 84 to 192 MHz");
     }
-    // PLLACOUNT.
-    plla_ready_ = system_.board_now() + system_.slow_periods(((value >> 8) & 0x3FU) + 1);
+    plla_ready_ = system_.board_now() + system_.slow_periods(kPllaCount.of(value) + 1);
     plla_steady_ = system_.board_now() + kPllaStart;
   }
   plan();
@@ -321,7 +332,7 @@ void Pmc::write_upll(std::uint32_t value) {
     if ((main_oscillator_ & kMoscXtEn) == 0 || system_.board_now() < crystal_steady_) {
       misuse(kUckr, "UPLL is switched on before the 12 MHz crystal runs, which it multiplies");
     }
-    const std::uint64_t upllcount = (value >> 20) & 0xFU;
+    const std::uint64_t upllcount = kUpllCount.of(value);
     upll_ready_ = system_.board_now() + system_.slow_periods(8 * upllcount + 1);
     upll_steady_ = system_.board_now() + kUpllStart;
   }
@@ -408,11 +419,11 @@ void Pmc::write(std::uint32_t offset, std::uint32_t value) {
     case kMckr:
       return write_master_clock(value);
     case kUsb:
-      usb_ = value & 0xF01U;  // USBDIV, USBS
+      usb_ = value & kUsbMask;
       return;
     case kWpmr:
       if ((value >> 8) != kProtectKey) return misuse(offset, "write without the key 0x504D43");
-      protect_ = value & 1U;
+      protect_ = value & kProtect;
       return;
     default:
       return;

@@ -142,7 +142,24 @@ std::uint32_t register_of(int channel, std::uint32_t offset) {
   return kChannels + kChannelBytes * static_cast<std::uint32_t>(channel) + offset;
 }
 
+// PWM_SCM
+constexpr Field kSync{0, 8};  // channels of the synchronous group
+constexpr Field kUpdm{16, 2};
+constexpr std::uint32_t kScmMask = 0x00F000FF;  // SYNC, PTRM, PTRCS
+// PWM_FMR: polarity, latching and filter of each fault input
+constexpr Field kFpol{0, 8};
+constexpr Field kFmod{8, 8};
+constexpr Field kFfil{16, 8};
+constexpr std::uint32_t kFmrMask = 0x00FFFFFF;
+constexpr std::uint32_t kFaultInputs = 0x3F;  // there are six
+// PWM_CLK, of clock A and from bit 16 of clock B
+constexpr Field kDiv{0, 8};
+constexpr Field kPre{8, 4};
+constexpr std::uint32_t kClkMask = 0x0FFF0FFF;  // PREB, DIVB, PREA, DIVA
+constexpr Field kClockA{0, 16};
+constexpr Field kClockB{16, 16};
 // PWM_CMR
+constexpr Field kCpre{0, 4};
 constexpr std::uint32_t kPolarity = 1U << 9;     // CPOL
 constexpr std::uint32_t kInvertHigh = 1U << 17;  // DTHI
 constexpr std::uint32_t kInvertLow = 1U << 18;   // DTLI
@@ -204,17 +221,17 @@ void Pwm::start(int channel) {
 
 // PWM_ENA: with channel 0 of a synchronous group, all channels of the group.
 void Pwm::enable(std::uint32_t mask) {
-  if ((mask & 1U) != 0 && synchronous(0)) mask |= sync_ & 0xFFU;
+  if (has_bit(mask, 0) && synchronous(0)) mask |= kSync.of(sync_);
   for (int channel = 0; channel < kPwmChannels; ++channel) {
-    if (((mask >> channel) & 1U) != 0) start(channel);
+    if (has_bit(mask, channel)) start(channel);
   }
 }
 
 // PWM_DIS: the same group rule. A disabled output shows CPOL.
 void Pwm::disable(std::uint32_t mask) {
-  if ((mask & 1U) != 0 && synchronous(0)) mask |= sync_ & 0xFFU;
+  if (has_bit(mask, 0) && synchronous(0)) mask |= kSync.of(sync_);
   for (int channel = 0; channel < kPwmChannels; ++channel) {
-    if (((mask >> channel) & 1U) != 0) channels_[index(channel)].enabled = false;
+    if (has_bit(mask, channel)) channels_[index(channel)].enabled = false;
   }
 }
 
@@ -286,7 +303,7 @@ void Pwm::outputs_changed() {
 // An edge at a fault pin. With its filter (FFIL) on, it counts only after one cycle.
 void Pwm::pin_changed(int fault_input, bool, std::uint64_t now) {
   fault_since_[index(fault_input)] = now;
-  if (((fault_mode_ >> (16 + fault_input)) & 1U) != 0) {
+  if (has_bit(kFfil.of(fault_mode_), fault_input)) {
     system_.scheduler.set(filter_id_, now + 1);
   }
   update_faults();
@@ -298,9 +315,9 @@ void Pwm::filter_faults() {
   const std::uint64_t now = system_.now();
   for (const PwmPin& pin : kFaultPins) {
     const std::uint32_t bit = 1U << pin.signal;
-    const bool filtered = ((fault_mode_ >> 16) & bit) != 0;
+    const bool filtered = has_bit(kFfil.of(fault_mode_), pin.signal);
     if (filtered && now <= fault_since_[index(pin.signal)]) continue;
-    const bool high = ((pins_.seen(pin.pin / 32) >> (pin.pin % 32)) & 1U) != 0;
+    const bool high = has_bit(pins_.seen(pin.pin / 32), pin.pin % 32);
     fault_inputs_ = high ? fault_inputs_ | bit : fault_inputs_ & ~bit;
   }
 }
@@ -310,9 +327,8 @@ void Pwm::filter_faults() {
 void Pwm::update_faults() {
   integrate_all();
   filter_faults();
-  const std::uint32_t polarity = fault_mode_ & 0xFFU;
-  const std::uint32_t present = ~(fault_inputs_ ^ polarity) & 0x3FU;  // six inputs
-  const std::uint32_t latched = (fault_mode_ >> 8) & 0xFFU;
+  const std::uint32_t present = ~(fault_inputs_ ^ kFpol.of(fault_mode_)) & kFaultInputs;
+  const std::uint32_t latched = kFmod.of(fault_mode_);
   faults_ = present | (faults_ & latched);
   bool changed = false;
   for (int channel = 0; channel < kPwmChannels; ++channel) {
@@ -333,7 +349,7 @@ void Pwm::update_faults() {
 void Pwm::write_fault(std::uint32_t offset, std::uint32_t value) {
   switch (offset) {
     case kFmr:
-      fault_mode_ = value & 0x00FFFFFFU;  // FPOL, FMOD, FFIL
+      fault_mode_ = value & kFmrMask;
       break;
     case kFcr:
       faults_ &= ~value;
@@ -352,18 +368,18 @@ void Pwm::write_fault(std::uint32_t offset, std::uint32_t value) {
 
 // PWM_SCM: bits 0 to 7 say which channels are in the synchronous group.
 void Pwm::write_sync_mode(std::uint32_t value) {
-  const std::uint32_t joining = (value & ~sync_) & 0xFFU;
+  const std::uint32_t joining = kSync.of(value & ~sync_);
   for (int channel = 0; channel < kPwmChannels; ++channel) {
-    const bool changes = (((value ^ sync_) >> channel) & 1U) != 0;
+    const bool changes = has_bit(value ^ sync_, channel);
     if (changes && channels_[index(channel)].enabled) {
       misuse(kScm,
              "channel " + std::to_string(channel) + " joins or leaves the group while enabled");
     }
   }
-  if (joining != 0 && (value & 1U) == 0)
+  if (joining != 0 && !has_bit(value, 0))
     misuse(kScm, "channel 0 must belong to the synchronous group");
-  if (((value >> 16) & 3U) != 0) not_modelled(kScm, "UPDM above 0, updates without UPDULOCK");
-  sync_ = value & 0x00F000FFU;  // SYNC, PTRM, PTRCS
+  if (kUpdm.of(value) != 0) not_modelled(kScm, "UPDM above 0, updates without UPDULOCK");
+  sync_ = value & kScmMask;
 }
 
 // CDTYUPD or CPRDUPD of a channel: the value acts at the end of its period.
@@ -492,7 +508,7 @@ void Pwm::write(std::uint32_t offset, std::uint32_t value) {
   integrate_all();
   switch (offset) {
     case kClk:
-      clock_ = value & 0x0FFF0FFFU;  // PREB, DIVB, PREA, DIVA
+      clock_ = value & kClkMask;
       break;
     case kEna:
       enable(value);
@@ -532,11 +548,11 @@ void Pwm::write(std::uint32_t offset, std::uint32_t value) {
 // Cycles of MCK per count, by CPRE: a power of 2, or clock A (11) or B (12) of PWM_CLK, which
 // divides by DIVA or DIVB times a power of 2.
 std::uint64_t Pwm::step_cycles(int channel) const {
-  const std::uint32_t prescaler = counter_of(channel).mode & 0xFU;
+  const std::uint32_t prescaler = kCpre.of(counter_of(channel).mode);
   if (prescaler <= 10) return std::uint64_t{1} << prescaler;
-  const std::uint32_t half = prescaler == 11 ? clock_ & 0xFFFFU : clock_ >> 16;
-  const std::uint32_t divider = half & 0xFFU;
-  return divider == 0 ? 0 : std::uint64_t{divider} << std::min((half >> 8) & 0xFU, 10U);
+  const std::uint32_t clock = (prescaler == 11 ? kClockA : kClockB).of(clock_);
+  const std::uint32_t divider = kDiv.of(clock);
+  return divider == 0 ? 0 : std::uint64_t{divider} << std::min(kPre.of(clock), 10U);
 }
 
 // Period in cycles; a centre-aligned counter runs up and down in it.
@@ -599,11 +615,11 @@ std::uint32_t Pwm::faults_active(int channel) const {
 bool Pwm::forced(int channel, bool low_side, bool& level) const {
   const unsigned bit = static_cast<unsigned>(channel) + (low_side ? 16U : 0U);
   if (faults_active(channel) != 0) {
-    level = ((fault_values_ >> bit) & 1U) != 0;
+    level = has_bit(fault_values_, bit);
     return true;
   }
-  if (((override_ >> bit) & 1U) != 0) {
-    level = ((override_value_ >> bit) & 1U) != 0;
+  if (has_bit(override_, bit)) {
+    level = has_bit(override_value_, bit);
     return true;
   }
   return false;

@@ -17,6 +17,7 @@ constexpr std::uint32_t kInvertA = 1U << 13;
 constexpr std::uint32_t kInvertB = 1U << 14;
 constexpr std::uint32_t kSwap = 1U << 16;
 constexpr std::uint32_t kFilter = 1U << 19;
+constexpr Field kMaxFilt{20, 6};
 
 // TC_QISR
 constexpr std::uint32_t kDirChange = 1U << 1;
@@ -44,7 +45,7 @@ void Quadrature::set_mode(std::uint32_t block_mode, bool a, bool b) {
 // Cycles by which the filter delays an edge; 0 without filter. Pulses of up to MAXFILT clocks are
 // dropped.
 std::uint64_t Quadrature::filter_cycles() const {
-  return (mode_ & kFilter) != 0 ? ((mode_ >> 20) & 63U) + 1 : 0;
+  return (mode_ & kFilter) != 0 ? kMaxFilt.of(mode_) + 1 : 0;
 }
 
 // An edge at a pin. After inversion and swap it waits for the filter's time; a pulse that ends

@@ -62,7 +62,7 @@ constexpr std::uint32_t kTxEmpty = 1U << 9;
 constexpr std::uint32_t kTxBufE = 1U << 11;
 constexpr std::uint32_t kRxBufF = 1U << 12;
 
-constexpr unsigned kChannelModeShift = 14;  // UART_MR.CHMODE
+constexpr Field kChannelMode{14, 2};  // UART_MR.CHMODE
 constexpr std::uint32_t kLocalLoopback = 2;
 constexpr std::uint32_t kMrMask = 0xCE00;  // UART_MR: CHMODE, PAR
 
@@ -186,7 +186,7 @@ void Uart::event(std::uint64_t) {
   }
   feed_transmitter();
   update_irq();
-  const std::uint32_t channel_mode = (mode_ >> kChannelModeShift) & 3U;
+  const std::uint32_t channel_mode = kChannelMode.of(mode_);
   if (channel_mode == kLocalLoopback) return receive(byte, bit_cycles());
   const PinSetting& pin = pins_.setting(kTxPin);
   if (!pin.given_to_peripheral || pin.peripheral_b) {
@@ -206,7 +206,7 @@ void Uart::receive(std::uint8_t byte, std::uint64_t sender_bit_cycles) {
   const bool in_step = ratio >= 1.0 - kLargestMismatch && ratio <= 1.0 + kLargestMismatch;
   // With different parities, a parity bit is read as a stop bit, and the next start bit is expected
   // at the wrong time. The local loopback has only one end.
-  const bool same_frame = ((mode_ >> kChannelModeShift) & 3U) != 0 || understood();
+  const bool same_frame = kChannelMode.of(mode_) != 0 || understood();
   if (!in_step || !same_frame) {
     errors_ |= same_frame ? kFrame : kFrame | kPare;
     byte = garbled(byte);
@@ -363,7 +363,7 @@ void Uart::write(std::uint32_t offset, std::uint32_t value) {
     case kMr:
       mode_ = value & kMrMask;
       // Automatic echo and remote loopback.
-      if (((value >> kChannelModeShift) & 1U) != 0)
+      if (has_bit(kChannelMode.of(value), 0))
         not_modelled(offset, "this channel mode is not modelled");
       break;
     case kIer:
