@@ -17,13 +17,23 @@ from heli_lab.setup.guess.columns import ColumnOptions, column_options, prepare_
 from heli_lab.setup.guess.motion import reference_of
 from heli_lab.setup.guess.names import AXES, PAIR, is_time, meaning_of
 from heli_lab.setup.guess.propose import propose
-from heli_lab.setup.guess.result import NOTHING_KNOWN, read_known
+from heli_lab.setup.guess.result import NOTHING_KNOWN, KnownEntries, read_known
 from heli_sim.rig import load_rig
 
 from tests.guess.flights import piloted
 
 RIG = load_rig("quanser-course")
 REFERENCE = reference_of(RIG)
+
+
+def test_a_header_that_a_profile_contradicts_is_reported() -> None:
+    known = KnownEntries(
+        {"pitch": {"column": "pitch [deg]", "unit": "rad"}, "travel": {"column": "l [deg]"}}, "p"
+    )
+    table = Table("log", {name: Column(np.zeros(3)) for name in ("pitch [deg]", "l [deg]")})
+    assert known.contradicted_headers(table) == [
+        "pitch: in rad, as p states, although the header of 'pitch [deg]' states deg"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -70,9 +80,17 @@ def test_a_name_states_another_quantity(name: str, quantity: str) -> None:
     assert meaning_of(name).quantity == quantity
 
 
-@pytest.mark.parametrize("name", ["Tid [s]", "Zeit", "Temps (s)", "tiempo", "时间(s)", "Čas", "czas"])
+@pytest.mark.parametrize(
+    "name",
+    ["Tid [s]", "Zeit", "Temps (s)", "tiempo", "时间(s)", "Čas", "czas", "時刻", "Время, с", "Datum", "T"],
+)
 def test_a_name_states_the_time(name: str) -> None:
     assert is_time(name)
+
+
+def test_the_letter_of_a_temperature_states_no_time() -> None:
+    assert not is_time("T_motor")
+    assert not is_time("T_amb")
 
 
 def flight_table(pilot: str = "travel", commands: bool = False, **others: Floats) -> Table:
@@ -101,6 +119,46 @@ def columns_of(guess: Guess) -> dict[str, str]:
 
 def subjects(guess: Guess) -> set[str]:
     return {ambiguity.subject for ambiguity in guess.ambiguities}
+
+
+@pytest.mark.medium
+def test_a_part_that_is_moved_by_hand_before_the_flight_is_no_evidence_and_is_doubted() -> None:
+    table = flight_table()
+    assert "the rows with the motors off" not in subjects(proposed(table))
+    step_s = float(np.diff(table.columns["t"].values[:2])[0])
+    hand_s = np.arange(-10.0, 0.0, step_s)
+    sizes = {"elevation": 0.3, "pitch": 0.2, "travel": -0.7, "front": 0.0, "back": 0.0}
+    moved = {}
+    for name, size in sizes.items():
+        values = table.columns[name].values
+        by_hand = values[0] * (size != 0.0) + size * np.sin(hand_s) * (hand_s < -3.0)
+        joined: Floats = np.concatenate((by_hand, values))
+        moved[name] = Column(joined)
+    times = Column(np.concatenate((hand_s, table.columns["t"].values)))
+    guess = proposed(Table("x.csv", {"t": times, **moved}))
+    assert "the rows with the motors off" in subjects(guess)
+    assert {angle.sign for angle in guess.profile.angles.values()} == {1.0}
+
+
+@pytest.mark.medium
+def test_a_column_that_states_a_voltage_is_the_motors() -> None:
+    table = flight_table()
+    forces = {name: Column(2.0 * table.columns[name].values ** 2) for name in PAIR}
+    both = renamed(table, front="Motor front", back="back [V]")
+    guess = proposed(replace(both, columns={**both.columns, **forces}))
+    assert columns_of(guess)["front"] == "Motor front"
+    assert columns_of(guess)["back"] == "back [V]"
+    # Without such a word or unit, the motion alone chooses.
+    both = replace(table, columns={**table.columns, "front 2": forces["front"]})
+    assert "the columns" in subjects(proposed(both))
+
+
+def test_widths_of_pulses_are_refused_as_such() -> None:
+    times: Floats = np.linspace(0.0, 10.0, 500)
+    columns = {name: Column(np.sin(times + place, dtype=np.float64)) for place, name in enumerate(AXES)}
+    pulses = {f"Motor {side} [us]": Column(1300.0 + 50.0 * np.cos(3.0 * times)) for side in "AB"}
+    with pytest.raises(FlightDataError, match=r"widths of pulses \(Motor A \[us\] and Motor B \[us\]\)"):
+        proposed(Table("x.csv", {"t": Column(times), **columns, **pulses}))
 
 
 @pytest.mark.medium

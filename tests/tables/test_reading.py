@@ -192,6 +192,28 @@ def test_named_arrays(kind: str, tmp_path: Path) -> None:
     assert_same_columns(table, names["x"], names["y"])
 
 
+@pytest.mark.parametrize("names", ["# $ATT,time,x,n", "$ATT,time,x,n", ""])
+def test_lines_of_several_kinds_have_blank_cells(names: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    lines = [
+        line
+        for t, x, y in zip(T_S, X, Y, strict=True)
+        for line in (f"$ATT,{t:.3f},{x},{5 * t:.3f}", f"$MOT,{t + 0.004:.3f},{y}")
+    ]
+    path.write_text("\n".join([names, "ready", *lines]) + "\n")
+    table = read_table(path)
+    x, y = ("x" if names else "$ATT 2"), "$MOT 2"
+    columns = {name: column.values[np.isfinite(column.values)] for name, column in table.columns.items()}
+    assert columns[x] == pytest.approx(X)
+    assert columns[y] == pytest.approx(Y)
+    lines = [line for x, y in zip(X, Y, strict=True) for line in (f"$ATT,{x},{y},{x}", f"$MOT,{y},{x},1")]
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(
+        FlightDataError, match=r"several kinds \(\$ATT, \$MOT\), whose first values are no time"
+    ):
+        read_table(path)
+
+
 def test_a_checksum_is_no_part_of_the_last_number(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("\n".join(f"$HELI,{t},{x},{y}*5A" for t, x, y in zip(T_S, X, Y, strict=True)))
@@ -435,8 +457,9 @@ def test_numbers_in_the_header_of_labview_are_no_rows(tmp_path: Path) -> None:
     assert_same_columns(read_table(path))
 
 
-def test_names_in_chinese_or_with_umlauts_without_utf8(tmp_path: Path) -> None:
-    for name, encoding in (("高度角", "gb18030"), ("Höhe", "latin-1")):
+def test_names_of_other_scripts_without_utf8(tmp_path: Path) -> None:
+    encodings = {"高度角": "gb18030", "Höhe": "latin-1", "Тангаж": "cp1251", "ピッチ角": "shift_jis"}
+    for name, encoding in encodings.items():
         path = tmp_path / "a.csv"
         path.write_bytes(f"t,{name},y\n{rows(',', '.')}".encode(encoding))
         assert_same_columns(read_table(path), name)

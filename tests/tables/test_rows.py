@@ -14,7 +14,7 @@ from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
 from heli_host.data.tables import Angle, Column, Conversion, Profile, Table, Voltage, convert, read_table
-from heli_host.data.tables.rows import spikes, timed_rows
+from heli_host.data.tables.rows import spikes, substitutes, timed_rows
 from heli_host.errors import FlightDataError
 from heli_host.fly.plan import Plan
 from hypothesis import HealthCheck, given, settings
@@ -546,3 +546,25 @@ def test_a_repeated_header_does_not_change_the_numbers(decimal: str, tmp_path: P
     assert columns["t"].values[known] == pytest.approx(T_S, abs=1e-9)
     assert columns["x"].values[known] == pytest.approx(30.7617 * np.sin(T_S), abs=1e-4)
     assert columns["n"].values[known] == pytest.approx(1000 + np.arange(N))
+
+
+def test_a_number_far_beyond_all_others_is_no_value_for_as_long_as_it_lasts(tmp_path: Path) -> None:
+    values = VALUES.copy()
+    rows = [*range(300, 303), 700, *range(900, 904)]
+    values[rows, 0] = -1e30
+    values[rows, 3] = 9999.0
+    flown = converted(tmp_path, lines(T_S, values))
+    assert worst_error(flown) < 0.01
+    (change,) = (each for each in flown.changes if each.action == "left out")
+    assert change.rows == len(rows)
+    # A motor that is off before a flight is at the end of the range, and not beyond it.
+    assert not substitutes(np.where(T_S < 2.0, 0.0, VALUES[:, 0])).any()
+
+
+def test_steps_that_are_smaller_than_a_count_make_no_count_a_jump(tmp_path: Path) -> None:
+    count = 360.0 / 4096.0
+    values = np.column_stack((VALUES[:, :2], count * np.round(VALUES[:, 2:] / count)))
+    # Travel stands still, as with friction, and goes on by single counts; later, rows were filled in.
+    values[:600, 4] = values[600, 4]
+    values[900:, 4] = TRAVEL_DEG[900:]
+    assert not [change for change in converted(tmp_path, lines(T_S, values)).changes if change.rows > 1]

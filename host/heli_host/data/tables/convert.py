@@ -21,6 +21,7 @@ from heli_host.data.tables.rows import (
     runs_of,
     settle_blank_cells,
     spikes,
+    substitutes,
     timed_rows,
     without_unread_rows,
 )
@@ -74,6 +75,8 @@ _MOVING_STEPS: Final = 8
 _MOVING_ROWS: Final = 0.75
 """Changes of an angle in `_STAND_S` from which on the arm moves, at most this share of the rows. A simulated
 hover without disturbances has up to 4."""
+_COUNT_SHARE: Final = 0.05
+"""Share of the steps of an angle with the same size from which on it is a count of the encoder."""
 _OFF_TABLE_DEG: Final = 2.0
 _ALOFT_DEG: Final = 5.0
 """Height above the lowest elevation from which the arm does not rest on the table, and from which it is
@@ -222,6 +225,7 @@ def _without_spikes(table: Table, t_s: Floats, profile: Profile) -> tuple[Table,
         size = np.abs(table.columns[voltage.column].values)
         is_away = size > _SPIKE_RATIO * max(float(np.quantile(size, 0.99)), 1e-12)
         is_away &= ~(np.roll(is_away, 1) & np.roll(is_away, -1))
+        is_away |= substitutes(table.columns[voltage.column].values)
         if is_away.any():
             names.append(voltage.column)
         is_spike |= is_away
@@ -334,7 +338,7 @@ class _Motion:
         # Across a gap, an arm in motion jumps, too.
         is_gap = steps_s > MAX_MISSING * np.median(steps_s)
         step_rad = np.where(is_gap[:, None], 0.0, np.abs(np.diff(angles, axis=0)))
-        typical_rad = [np.median(steps[steps > 0.0]) if steps.any() else np.inf for steps in step_rad.T]
+        typical_rad = [_typical_step_rad(steps[steps > 0.0]) for steps in step_rad.T]
         volts = np.column_stack(list(rows.voltages_V.values()))
         return cls(rows.t_s, angles, volts, step_rad, np.array(typical_rad))
 
@@ -376,6 +380,17 @@ class _Motion:
         duration_s = max(float(np.ptp(t_s)), _STAND_S)
         usual_rad = _MOVING_SHARE * _STAND_S * self.step_rad.sum(axis=0) / duration_s
         return bool((moved_rad > np.maximum(_STAND_JUMPS * self.typical_rad, usual_rad))[list(axes)].any())
+
+
+def _typical_step_rad(steps_rad: Floats) -> float:
+    """Return the typical size of the steps of an angle, at least the most frequent one: where rows were
+    filled in, steps are smaller than a count of the encoder, which is no jump. Shapes: `steps_rad` (n,).
+    """
+    if not steps_rad.size:
+        return np.inf
+    sizes, counts = np.unique(np.round(steps_rad, 5), return_counts=True)
+    is_count = bool(counts.max() > _COUNT_SHARE * steps_rad.size)
+    return max(float(np.median(steps_rad)), float(sizes[counts.argmax()]) * is_count)
 
 
 def _standing(rows: _Rows) -> Booleans:

@@ -62,6 +62,11 @@ _MAX_SPIKES: Final = 0.02
 """Largest share of spikes; a column with more is a signal that switches."""
 _MIN_SUBSTITUTES: Final = 5
 """Smallest number of spikes with the same number, from which on a program writes it instead of a value."""
+_MAX_SUBSTITUTES: Final = 0.2
+_FAR_RANGES: Final = 2.0
+_FAR_RATIO: Final = 5.0
+"""Largest share of such rows, their distance from all other values as a multiple of their range, and their
+size over the largest of these values."""
 _NEAR_ROWS: Final = 8
 """Rows before and after a pair in which the rig has to move for the pair to count as evidence."""
 
@@ -706,6 +711,23 @@ def spikes(values: Floats) -> Booleans:
     is_spike &= np.abs(values[2:] - values[:-2]) <= 3.0 * typical
     if typical > 0.0 and is_spike.sum() < _MAX_SPIKES * values.size:
         result[1:-1] = is_spike | _is_substitute(values, is_spike)
+    return result | substitutes(values)
+
+
+def substitutes(values: Floats) -> Booleans:
+    """Mark the rows with a number far beyond all others, such as -999, which a program writes for as long as
+    it has no value. Shape: (n,).
+    """
+    result = np.zeros(values.size, bool)
+    for number in (values.min(initial=np.inf), values.max(initial=-np.inf)):
+        is_number = values == number
+        others = values[~(is_number | result)]
+        if not others.size or is_number.sum() < 2 or is_number.mean() > _MAX_SUBSTITUTES:
+            continue
+        beyond = max(float(others.min()) - number, number - float(others.max()))
+        # Motors that are off before a flight have a voltage that is beyond the others, but small.
+        is_far = abs(number) > _FAR_RATIO * float(np.abs(others).max())
+        result |= is_number & (beyond > _FAR_RANGES * float(np.ptp(others)) > 0.0) & is_far
     return result
 
 

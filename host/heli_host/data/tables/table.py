@@ -207,9 +207,23 @@ SHARES: Final = {"duty": 1.0, "percent": 100.0, "pwm": 255.0}
 COUNT: Final = "count"
 
 _SPELLINGS: Final = {
-    "rad": ("rad", "radian", "radians"),
+    "rad": (
+        "rad",
+        "radian",
+        "radians",
+        "radianer",
+        "radianes",
+        "radianos",
+        "radiant",
+        "弧度",
+        "рад",
+        "라디안",
+    ),
     "mrad": ("mrad",),
-    "deg": ("deg", "degs", "degree", "degrees", "°", "grad", "grader", "º"),
+    "deg": (
+        *("deg", "degs", "degree", "degrees", "°", "grad", "grader", "º", "grados", "graus", "degres"),
+        *("degrés", "gradi", "graden", "stopnie", "derece", "度", "град", "도"),
+    ),
     "cdeg": ("cdeg", "centideg", "centidegrees", "0.01deg", "0.01 deg"),
     "mdeg": ("mdeg", "millideg", "millidegrees"),
     "turn": ("turn", "turns", "rev", "revs", "revolution", "revolutions"),
@@ -226,14 +240,16 @@ _SPELLINGS: Final = {
         "lsb",
         "cts",
         "inc",
+        "imp",
+        "ink",
     ),
-    "s": ("s", "sec", "secs", "second", "seconds"),
-    "ms": ("ms", "msec", "millis", "milliseconds"),
+    "s": ("s", "sec", "secs", "second", "seconds", "秒", "с", "сек", "초"),
+    "ms": ("ms", "msec", "millis", "milliseconds", "毫秒", "ミリ秒", "мс", "밀리초"),
     "us": ("us", "µs", "μs", "usec", "micros", "microseconds"),
     "ns": ("ns", "nsec", "nanoseconds"),
-    "min": ("min", "minutes"),
+    "min": ("min", "minutes", "мин"),
     "day": ("day", "days", "datenum"),
-    "V": ("v", "volt", "volts"),
+    "V": ("v", "volt", "volts", "voltios", "伏", "в", "볼트"),
     "mV": ("mv", "millivolt", "millivolts"),
     "duty": ("duty", "1", "-", "p.u.", "pu"),
     "percent": ("%", "percent", "pct"),
@@ -241,7 +257,7 @@ _SPELLINGS: Final = {
     "deg/s": ("deg/s", "°/s", "dps", "degrees/s"),
     "rad/s": ("rad/s", "rad/sec", "radps"),
     "rad/s2": ("rad/s2", "rad/s^2"),
-    "A": ("a", "amp", "amps", "ampere"),
+    "A": ("a", "amp", "amps", "ampere", "а"),
     "mA": ("ma",),
     "°C": ("°c", "degc", "celsius"),
     "rpm": ("rpm", "1/min", "u/min"),
@@ -250,12 +266,19 @@ _SPELLINGS: Final = {
     "Nm": ("nm", "n m", "n*m"),
 }
 _UNIT_OF: Final = {spelling: unit for unit, spellings in _SPELLINGS.items() for spelling in spellings}
+_WIDE_BRACKETS: Final = str.maketrans("（）［］", "()[]")
+"""Brackets as wide as the characters of Chinese and Japanese."""
 _BRACKETS: Final = re.compile(r"^(.*?)[\s_]*[\[(<{]\s*([^\])>}]*)\s*[\])>}]\s*$")
 _SLASH: Final = re.compile(r"^(.*\S)(?:\s+(?:/|in)\s*|_in_)(\S+)\s*$")
 _TIGHT_SLASH: Final = re.compile(
     r"^([^/]*[^/\s])/(rad|mrad|deg|°|Deg|rev|turns?|counts?|V|mV|%|A|ms|us|µs|ns)$"
 )
 """As in `pitch/deg`, which engineers write. Other short units may be the last part of a path or of a rate."""
+_OTHER_UNIT: Final = re.compile(
+    r"(?i)^([^/]*[^/\s])(?:(?:/|,\s*|\s+in\s+)(?!angle$)|[_\s](?=(?:gon|gradian|ddeg|arc|mil)\w*$))([a-z]+)$"
+)
+"""Unit that is not known, behind a slash, a comma or the word in. Behind a line or a space, most words are no
+units."""
 _TAIL: Final = re.compile(r"^(.*[^_\s])[_\s]([^_\s]+)$")
 _MATRIX_INDEX: Final = re.compile(r"(?<=\w)\[\d+\]$")
 _BARE_TAILS: Final = frozenset(
@@ -289,8 +312,9 @@ def unit_of(text: str) -> str:
 
 def split_unit(name: str) -> tuple[str, str]:
     """Split the unit off a column's `name`: `pitch [deg]`, `pitch (deg)`, `pitch / deg`, `pitch_deg`."""
+    plain = name.translate(_WIDE_BRACKETS)
     for pattern in (_BRACKETS, _SLASH, _TIGHT_SLASH):
-        match = pattern.match(name)
+        match = pattern.match(plain)
         # In y[1] and u(1) the number is an index. After a space it is the unit 1, of a share.
         is_index = match is not None and match.group(2) == "1" and name[len(match.group(1))] in "[({<"
         if match and unit_of(match.group(2)) and not is_index:
@@ -308,7 +332,8 @@ def split_unit(name: str) -> tuple[str, str]:
 
 def unknown_unit(name: str) -> str:
     """Return the text in brackets at the end of a column's `name`, if it may be a unit but is not known."""
-    match = _BRACKETS.match(name)
+    plain = name.translate(_WIDE_BRACKETS)
+    match = _BRACKETS.match(plain) or _OTHER_UNIT.match(plain)
     text = match.group(2).strip() if match else ""
     is_index = text.isdigit() or len(text) > _LONGEST_UNIT or " " in text
     return "" if not text or is_index or unit_of(text) else text

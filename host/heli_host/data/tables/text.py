@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import csv
 import gzip
 import io
@@ -53,6 +54,9 @@ _EMPTY: Final = frozenset({"", "nan", "na", "n/a", "null", "none", "-nan", "inf"
 _HIGH_BYTES: Final = re.compile(rb"[\x80-\xff]+")
 _ENCODING_BYTES: Final = 1 << 16
 """Number of bytes, such as a header, from which the encoding is determined."""
+_MIN_LETTERS: Final = 4
+"""Letters of a word in a row from which on they are Russian: accents are single letters."""
+_JAPANESE: Final = re.compile("[\u3041-\u30fe\u4e00-\u9fff]{2}")
 _SHORT_SHARE: Final = 0.2
 """Share of rows with equally few cells from which they are complete; damage does not repeat like this."""
 _FULL_SHARE: Final = 0.03
@@ -106,6 +110,11 @@ _RECEIVED: Final = re.compile(
 the first cell of a row with another separator."""
 _CHECKSUM: Final = re.compile(r"\*[0-9A-Fa-f]{2}\s*$")
 """End of a sentence as GPS receivers send it, such as `$HELI,1.2,3.4*5A`."""
+_KIND: Final = re.compile(r"^\s*([$!@>]?[A-Za-z_]\w*)\s*[,;:\t ]\s*(.+)$")
+"""Line that begins with the kind of its message, such as `$ATT,0.01,1.2,3.4` or `MOT 0.01 5.1 4.9`."""
+_MIN_CHANGES: Final = 0.2
+"""Share of the lines from which on the kind changes. The state of a controller, in a table's first column,
+changes seldom."""
 _STAMP: Final = re.compile(rf"{_CLOCK_TIME}|(?<=[\[(])\d+(?:\.\d+)?(?=[\])])|^\s*\d+(?:\.\d+)?(?=\s*[;,|\t])")
 """Time in front of the values with names, as a clock, in brackets, or as the first cell."""
 _ESCAPED: Final = re.compile(r"\\[ ,]")
@@ -146,7 +155,7 @@ def read_text(path: Path) -> Table:
     ]
     if not body:
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
-    body = _without_names_in_rows(_without_checksums(body))
+    body = _without_names_in_rows(_without_kinds(path, _without_checksums(body), notes.splitlines()))
     body, stamps = _without_reception_times(body)
     # At the beginning the rig is at rest, and whole numbers do not show the decimal mark. Therefore lines of
     # the whole file are examined.
@@ -403,6 +412,78 @@ def _flat(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, st
             yield name, "" if value is None else str(float(value) if isinstance(value, bool) else value)
 
 
+def _without_kinds(path: Path, lines: list[str], notes: list[str]) -> list[str]:
+    """Turn lines of several kinds, such as `$ATT,0.01,1.2,3.4` and `$MOT,0.01,5.1,4.9`, into a header and
+    rows with tabs; each row has blank cells for the values of the other kinds.
+
+    The first value of each line is the time. Names may be in a line with words behind the kind.
+    """
+    import pandas
+
+    matches = [_KIND.match(line) for line in lines]
+    if sum(match is not None for match in matches) < _LABEL_SHARE * len(lines):
+        return lines
+    dialect = find_dialect([match[2] for match in matches[:: max(1, len(lines) // _LOOKED_AT)] if match])
+    if dialect is None:
+        return lines
+    parts = [(match[1], _split_cells(match[2], dialect)) for match in matches if match]
+    values = [
+        (kind, cells)
+        for kind, cells in parts
+        if _is_value(cells[0], dialect) and all(_is_number(cell, dialect) or not cell for cell in cells[1:])
+    ]
+    counts = Counter((kind, len(cells)) for kind, cells in values)
+    widths = {
+        kind: width for (kind, width), count in counts.items() if count >= _MIN_NAMES_SHARE * len(lines)
+    }
+    values = [(kind, cells) for kind, cells in values if widths.get(kind) == len(cells)]
+    changes = sum(kind != other for (kind, _), (other, _) in itertools.pairwise(values))
+    if (
+        not 1 < len(widths) <= _MAX_SIGNALS
+        or len(values) < _LABEL_SHARE * len(lines)
+        or changes < _MIN_CHANGES * len(values)
+        or max(widths.values()) < _MIN_NAMED
+        # A name above the kinds: they are a column of a table.
+        or any(kind not in widths and {len(cells)} == set(widths.values()) for kind, cells in parts[:1])
+    ):
+        return lines
+    first = pandas.Series([cells[0].replace(dialect.decimal, ".") for _, cells in values])
+    numbers: Floats = pandas.to_numeric(first, errors="coerce").to_numpy(np.float64)
+    times = numbers if np.isfinite(numbers).any() else seconds_of(first)
+    if (
+        times is None
+        or np.nanmean(np.diff(times) < 0.0) > 1.0 - _LABEL_SHARE
+        or np.nanmax(times) == np.nanmin(times)
+    ):
+        raise FlightDataError(
+            f"{path}: its lines are of several kinds ({', '.join(widths)}), whose first values are no time "
+            "that all share",
+            "log all values in one line, or begin each line with its kind and the time",
+        )
+    texts = [_KIND.match(note) for note in notes]
+    texts += [match for match in matches if match]
+    named = {match[1]: _split_cells(match[2], dialect) for match in reversed(texts) if match}
+    names: dict[str, list[str]] = {}
+    for kind, width in widths.items():
+        words = named.get(kind, [])
+        has_names = len(words) == width and not any(_is_number(word, dialect) for word in words)
+        names[kind] = words if has_names else [f"{kind} {number}" for number in range(1, width + 1)]
+    shared = Counter(itertools.chain(*(each[1:] for each in names.values())))
+    order = {
+        (kind, place): name if shared[name] == 1 else f"{kind} {name}"
+        for kind, each in names.items()
+        for place, name in enumerate(each)
+        if place
+    }
+    first_names = {each[0] for each in names.values()}
+    rows = ["\t".join([first_names.pop() if len(first_names) == 1 else _STAMP_NAME, *order.values()])]
+    for kind, cells in values:
+        plain = [cell.replace(dialect.decimal, ".") for cell in cells]
+        row = [(plain[place] or "nan") if kind == each else "nan" for each, place in order]
+        rows.append("\t".join([plain[0], *row]))
+    return rows
+
+
 def _names_in_row(line: str) -> tuple[str, ...]:
     """Return the names in front of the values of a line."""
     return tuple(name for name, _, _ in _named_values(line)[1])
@@ -644,10 +725,23 @@ def _decode_file(path: Path) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        # In GB 18030, Chinese characters are pairs of high bytes; in Latin-1, an accented letter is one high
-        # byte.
-        paired = all(len(run) % 2 == 0 for run in _HIGH_BYTES.findall(content[:_ENCODING_BYTES]))
-        return content.decode("gb18030" if paired else "latin-1", errors="replace")
+        return content.decode(_encoding_of(content[:_ENCODING_BYTES]), errors="replace")
+
+
+def _encoding_of(content: bytes) -> str:
+    """Guess the encoding of the beginning of a file that is not in UTF-8, by its bytes of 128 and more."""
+    runs = _HIGH_BYTES.findall(content)
+    # In the Russian code page of Windows all letters are such bytes, of 192 and more.
+    if max(map(len, runs)) >= _MIN_LETTERS and all(min(run) >= 0xC0 for run in runs):
+        return "cp1251"
+    # In Shift JIS, the first byte of a character is one that no other of these encodings has for letters.
+    if any(0x81 <= run[0] <= 0x9F for run in runs):
+        with contextlib.suppress(UnicodeDecodeError):
+            text = content[: content.rfind(b"\n")].decode("shift_jis")
+            if _JAPANESE.search(text):
+                return "shift_jis"
+    # In GB 18030, Chinese characters are pairs of high bytes; in Latin-1, an accented letter is one.
+    return "gb18030" if all(len(run) % 2 == 0 for run in runs) else "latin-1"
 
 
 def _split_cells(line: str, dialect: Dialect) -> list[str]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from heli_host.data.arrays import Floats
+from heli_host.data.arrays import Floats, Integers
 from heli_host.data.tables import Column, Table
 from heli_host.data.tables.convert import with_direction
 from heli_host.data.tables.rows import timed_rows, without_unread_rows
@@ -33,6 +33,7 @@ from heli_lab.setup.guess.motion import (
 from heli_lab.setup.guess.names import (
     AXES,
     PAIR,
+    PULSES,
     ROLES,
     SUMS,
     VOLTAGE_ROLES,
@@ -41,6 +42,7 @@ from heli_lab.setup.guess.names import (
     is_time,
     meaning_of,
     meanings_of,
+    states_voltage,
 )
 from heli_lab.setup.guess.result import DECISIVE_NATS, NOTHING_KNOWN, Ambiguity, KnownEntries
 from heli_lab.setup.guess.signals import (
@@ -55,6 +57,11 @@ from heli_lab.setup.guess.signals import (
     without_spikes,
 )
 
+_REST_S: Final = 2.0
+_FALL_S: Final = 5.0
+"""Time before the motors turn, and after they stop, that belongs to the flight [s]."""
+_BY_HAND_SHARE: Final = 0.1
+"""Smallest motion of an angle with the motors off, as a share of its range, that somebody's hand makes."""
 _FIX: Final = (
     "give a log with three angles and both motor voltages; if they are in two files, add --one-flight"
 )
@@ -109,6 +116,8 @@ class PreparedFile:
     encoders: frozenset[str]  # Columns that are quantised by an encoder of the rig
     begins: bool  # Whether this part is the beginning of the file
     uncertain_s: float  # Largest error of a time, because a coarse clock hides where rows are missing
+    by_hand_s: tuple[float, float] | None = None
+    """Times of the first part that was cut off because the arm moves while the motors are off [s]."""
 
     @property
     def too_sparse(self) -> list[str]:
@@ -136,11 +145,54 @@ def prepare_file(
     first_s = t_s[0]
     table, t_s = longest_run(table, t_s)
     begins = bool(t_s[0] == first_s)
+    driven, by_hand_s = _driven_rows(table, t_s)
+    table, t_s = table.selected(driven, ()), t_s[driven]
     others = [name for name in table.columns if name != clock.column and not is_time(name)]
     table = without_spikes(table, others)
     signals = column_signals(table, t_s, others, reference.counts.values())
     encoders = frozenset(name for name in others if _is_encoder(table.columns[name].values, reference))
-    return PreparedFile(table, clock, signals, encoders, begins, uncertain_s)
+    return PreparedFile(table, clock, signals, encoders, begins, uncertain_s, by_hand_s)
+
+
+def _driven_rows(table: Table, t_s: Floats) -> tuple[Integers, tuple[float, float] | None]:
+    """Return the rows without the parts at both ends in which somebody moves the arm by hand, as to check the
+    encoders, while the named motors are off; and the times of the first such part. Shapes: `t_s` (n,).
+
+    Before the motors turn, the arm rests; after they stop, it falls.
+    """
+    meanings = {name: meaning_of(name, column.unit) for name, column in table.columns.items()}
+    known = {
+        name: table.columns[name].values
+        for name, meaning in meanings.items()
+        if not meaning.quantity and np.isfinite(table.columns[name].values).any()
+    }
+    motors = [known[name] for name in known if set(meanings[name].possible_roles) <= set(VOLTAGE_ROLES)]
+    angles = [known[name] for name in known if meanings[name].role in AXES]
+    rows = np.arange(t_s.size)
+    if len(motors) < len(PAIR) or not angles:
+        return rows, None
+    is_first, is_last = (
+        np.logical_and.reduce(
+            [(values == values[np.isfinite(values)][end]) | np.isnan(values) for values in motors]
+        )
+        for end in (0, -1)
+    )
+    if is_first.all() or is_last.all():
+        return rows, None
+    before = t_s < t_s[int(np.argmin(is_first))] - _REST_S
+    after = t_s > t_s[t_s.size - 1 - int(np.argmin(is_last[::-1]))] + _FALL_S
+    by_hand = [
+        part
+        for part in (before, after)
+        if any(
+            np.ptp(values[part & np.isfinite(values)]) > _BY_HAND_SHARE * np.ptp(values[np.isfinite(values)])
+            for values in angles
+            if (part & np.isfinite(values)).any()
+        )
+    ]
+    if not by_hand:
+        return rows, None
+    return rows[~np.logical_or.reduce(by_hand)], (float(t_s[by_hand[0]][0]), float(t_s[by_hand[0]][-1]))
 
 
 def with_directions(table: Table) -> tuple[Table, dict[str, str]]:
@@ -204,6 +256,14 @@ class ColumnOptions:
         left_out = ", ".join(f"{name} ({reason})" for name, reason in self.left_out.items())
         detail = f"; left out: {left_out}" if left_out else ""
         has_angles = all(self.by_role[axis] for axis in AXES)
+        pulses = [name for name, reason in self.left_out.items() if reason == PULSES]
+        if len(pulses) == len(PAIR) and sum(map(bool, map(self.by_role.get, VOLTAGE_ROLES))) < len(PAIR):
+            return FlightDataError(
+                f"{source}: the motors have widths of pulses ({' and '.join(pulses)}), and the file does not "
+                "state the widths at rest and at full voltage",
+                'state both in a profile: for 1000 to 2000 us and 12 V, unit = "pwm", full = 1000 and '
+                "offset_V = -12",
+            )
         if has_angles and not any(self.by_role[role] for role in VOLTAGE_ROLES):
             return FlightDataError(f"{source}: no column is a motor voltage{detail}", _FIX)
         named_axes = [axis for axis in AXES if axis in self.stated]
@@ -353,6 +413,11 @@ def _sorted_by_meaning(
         else:
             unnamed.append(name)
     for role, columns in named.items():
+        voltages = [name for name in columns if states_voltage(name, first.table.columns[name].unit)]
+        if role in VOLTAGE_ROLES and voltages:
+            others = [name for name in columns if name not in (*voltages, *known.columns)]
+            left_out |= dict.fromkeys(others, f"{voltages[0]} states a voltage")
+            columns[:] = [name for name in columns if name not in others]
         columns.sort(key=lambda name: (not meanings[name].is_measured, name not in first.encoders))
         measured = [name for name in columns if meanings[name].is_measured]
         named[role] = _without_copies(first, role, columns, measured, left_out)
@@ -670,7 +735,11 @@ def column_ambiguities(
         reason = f"they explain the flight within {margin:.1f} nats of each other"
         return [Ambiguity("the columns", str(best), _differences_text(best, near), reason)], sentence
     if is_stated:
-        return [], sentence
+        # Several columns have the name of one role, and the motion alone chooses among them.
+        reason = (
+            f"both have the name, and the motion is {margin:.0f} nats for this choice; look up which is it"
+        )
+        return [Ambiguity("the columns", str(best), _differences_text(best, others[:1]), reason)], sentence
     unstated = ", ".join(role for role in best.columns if role not in options.stated)
     current = ""
     if not _names_state_voltages(best, files[0].table):
@@ -733,7 +802,7 @@ def check_voltages(
     files: Sequence[PreparedFile],
 ) -> list[Ambiguity]:
     """Refuse columns without the names of voltages that do not act like voltages; report a doubtful sum."""
-    if options.stated.issuperset(best.columns):
+    if options.stated.issuperset(role for role in best.columns if role in VOLTAGE_ROLES):
         return []
     followed = [
         f"{axis} follows {column}"

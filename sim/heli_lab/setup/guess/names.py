@@ -28,76 +28,110 @@ ROLES: Final = (*AXES, *VOLTAGE_ROLES)
 A_SUPPLY: Final = "a supply voltage"
 A_DIRECTION: Final = "a direction"
 A_COUNTER: Final = "a counter"
+PULSES: Final = "a time or a width of pulses"
 _WORDS: Final = {
     "elevation": (
         *("elevation", "elev", "theta", "epsilon", "eps", "el", "e"),
         *("elevasjon", "hoyde", "hoydevinkel", "elevacion", "altura", "高度", "升降"),
         *("hohe", "hohen", "hohenwinkel", "hoehe", "hoehen", "hoehenwinkel", "steigwinkel"),
         *("elevazione", "elevacao", "elevatie", "elewacja", "elevace", "hojd"),
+        *("hoogte", "podniesienie", "yukselis", "yukselme"),
+        *("仰角", "昇降", "エレベーション", "возвышен", "элевац", "угол места", "подъем", "고도", "고각"),
     ),
     "pitch": (
         *("pitch", "phi", "rho", "p", "tilt", "pit"),
         *("helling", "stigning", "nick", "nicken", "nickwinkel", "neigung", "tangage", "cabeceo", "俯仰"),
-        *("beccheggio", "arfagem", "pochylenie", "naklon"),
+        *(
+            "beccheggio",
+            "arfagem",
+            "pochylenie",
+            "naklon",
+            "inclinacion",
+            "inclinacao",
+            "inclinazione",
+            "inclinaison",
+            "stampfen",
+            "stamphoek",
+            "yunuslama",
+            "ピッチ",
+            "тангаж",
+            "피치",
+        ),
     ),
     "travel": (
         *("travel", "trav", "psi", "lambda", "lam", "lamda", "yaw", "azimuth", "heading", "tr"),
         *("vandring", "dreh", "drehwinkel", "gier", "gieren", "gierwinkel", "azimut", "schwenk"),
         *("schwenkwinkel", "lacet", "rotation", "giro", "desplazamiento", "deplacement", "旋转", "巡航"),
         *("spostamento", "deslocamento", "verplaatsing", "traslazione", "obrot", "viaje"),
+        *("azimute", "guinada", "percurso", "recorrido", "imbardata", "draaihoek", "azymut", "sapma"),
+        *("旅行", "行程", "偏航", "方位", "旋回", "トラベル", "ヨー", "азимут", "рыскан", "поворот"),
+        *("이동", "선회", "방위", "트래블"),
     ),
     "front": (
         *("front", "vf", "uf", "uv", "forward", "fwd", "mf", "f"),
         *("foran", "fremme", "vorne", "vorn", "vorderer", "avant", "delantero", "前"),
         *("anteriore", "frontal", "dianteiro", "dianteira", "frente", "voor", "przod", "przedni", "predni"),
+        *("передн", "앞", "전방"),
     ),
     "back": (
         *("back", "rear", "vb", "ub", "uh", "aft", "mb", "b", "vr", "ur", "mr"),
         *("bak", "bakre", "hinten", "hinterer", "heck", "arriere", "trasero", "后"),
         *("posteriore", "traseiro", "traseira", "tras", "achter", "tyl", "tylny", "zadni"),
+        *("後", "задн", "뒤", "후방"),
     ),
-    "sum": ("sum", "vs", "us", "collective", "coll", "total", "vsum", "summe", "somme", "suma"),
+    "sum": ("sum", "vs", "us", "collective", "coll", "total", "vsum", "summe", "somme", "suma", "сумм"),
     "difference": (
         *("difference", "diff", "vd", "ud", "differential", "vdiff", "delta"),
-        *("differanse", "differenz", "diferencia"),
+        *("differanse", "differenz", "diferencia", "разност"),
     ),
 }
 """Words for each role, without accents: English, Greek letters, Norwegian, German, French, Spanish, Italian,
-Portuguese, Dutch, Polish, Czech and Chinese. In German, vorne and hinten are abbreviated to v and h."""
+Portuguese, Dutch, Polish, Czech, Chinese, Japanese, Russian and Korean; in other scripts than the Latin one
+the stems of words. In German, vorne and hinten are abbreviated to v and h."""
 _OTHER_QUANTITIES: Final = {
     "a setpoint": (
         *("ref", "reference", "setpoint", "set", "sp", "des", "desired", "cmd", "command", "target", "goal"),
         *("demand", "demanded", "commanded", "star", "opt", "c", "r", "joy", "joystick", "stick"),
         *("soll", "sollwert", "vorgabe", "fuhrung", "referenz", "referanse", "onsket", "settpunkt"),
         *("consigne", "cible", "consigna", "referencia", "deseado"),
+        *("目标", "目標", "给定", "期望", "参考", "指令", "設定", "задан", "уставк", "목표", "기준", "명령"),
     ),
     "a setpoint or a rate": ("d",),
     "a rate": (
         *("rate", "dot", "vel", "velocity", "speed", "gyro", "omega", "d1", "derivative", "deriv", "dt"),
         *("geschwindigkeit", "geschw", "drehrate", "punkt", "ableitung", "hastighet", "derivert"),
-        *("vitesse", "velocidad", "derivada"),
+        *("vitesse", "velocidad", "derivada", "速度", "速率", "角速", "скорост", "속도"),
     ),
-    "an acceleration": ("acc", "accel", "acceleration", "beschleunigung", "akselerasjon", "ddot"),
+    "an acceleration": (
+        *("acc", "accel", "acceleration", "beschleunigung", "akselerasjon", "ddot"),
+        *("加速", "ускорен", "가속"),
+    ),
     "an estimate": (
         *("hat", "est", "estimate", "estimated", "filtered", "filt", "filter", "smoothed", "smooth"),
         *("lowpass", "low", "lp", "lpf", "kalman", "ekf", "observer", "f"),
         *("gefiltert", "geglattet", "beobachter", "filtrert", "filtre", "filtree", "filtrado", "filtrada"),
+        *("滤波", "估计", "フィルタ", "推定", "平滑", "фильтр", "оценк", "필터", "추정"),
     ),
-    "an error": ("err", "error", "fehler", "abweichung", "avvik", "feil", "erreur", "deviation"),
+    "an error": (
+        *("err", "error", "fehler", "abweichung", "avvik", "feil", "erreur", "deviation"),
+        *("误差", "誤差", "偏差", "ошибк", "рассоглас", "오차"),
+    ),
     "an integral": ("integral", "int"),
     "a feed-forward": ("ff", "feedforward", "vorsteuerung", "foroverkobling"),
     "a current": (
         *("current", "curr", "amps", "ampere", "i", "if", "ib", "ih", "im", "isense"),
-        *("strom", "motorstrom", "courant", "corriente"),
+        *("strom", "motorstrom", "courant", "corriente", "电流", "電流", "ток", "전류"),
     ),
     A_SUPPLY: (
         *("supply", "battery", "batt", "bat", "vbat", "vbatt", "ubat", "vcc", "vdd", "vbus", "vin", "lipo"),
         *("akku", "batterie", "versorgung", "versorgungsspannung", "batteri", "batterispenning"),
         *("forsyning", "forsyningsspenning", "alimentation", "alimentacion", "bateria"),
+        *("电池", "电源", "電池", "電源", "バッテリ", "питан", "батаре", "аккумулят", "배터리", "전원"),
     ),
     A_DIRECTION: (
         *("dir", "direction", "sign", "polarity"),
         *("richtung", "drehrichtung", "vorzeichen", "retning", "sens", "direccion"),
+        *("方向", "направлен", "방향"),
     ),
     "a quaternion": ("quaternion", "quat", "qw", "qx", "qy", "qz"),
     "another sensor": ("imu", "ahrs", "mpu", "mems", "inertial", "camera", "mocap"),
@@ -115,7 +149,10 @@ _OTHER_QUANTITIES: Final = {
             "ambient",
             "amb",
         ),
+        *("force", "lift", "kraft", "auftrieb", "fuerza", "forza", "forca", "poussee", "empuje"),
         *("rpm", "thrust", "torque", "schub", "drehmoment", "dreiemoment", "cpu"),
+        *("状态", "状態", "モード", "温度", "转速", "回転数", "推力", "состоян", "режим", "температур"),
+        *("оборот", "частот", "тяг", "상태", "온도", "회전수", "추력"),
     ),
 }
 """Words of quantities that are neither a measured angle nor a motor's voltage."""
@@ -130,7 +167,9 @@ _COUNTERS: Final = frozenset(
 """Words of a counter of rows. Next to an angle they mean the counter of its encoder."""
 _LETTERS: Final = frozenset({"c", "i", "d", "f"})
 """Words of `_OTHER_QUANTITIES` that only count next to a role, as in ``e_c``."""
-_ROLLS: Final = frozenset({"roll", "rollen", "rollwinkel", "roulis", "rull", "alabeo"})
+_ROLLS: Final = frozenset(
+    {"roll", "rollen", "rollwinkel", "roulis", "rull", "alabeo", "横滚", "滚转", "ロール", "крен", "롤"}
+)
 """Words of the pitch of the rig, if its axes are called as those of an aircraft."""
 _ANGLE_LETTERS: Final = frozenset({"d", "f"})
 """Letters that only count next to an angle: in ``V_f`` and ``V_d`` they name the voltage."""
@@ -139,14 +178,27 @@ _COMMANDS: Final = frozenset({"set", "cmd", "command", "commanded", "target", "g
 _MEASURED: Final = frozenset(
     {
         *("measured", "meas", "real", "actual", "act", "encoder", "enc", "raw", "true"),
-        *("ist", "istwert", "gemessen", "malt", "mesure", "medido"),
+        *(
+            "ist",
+            "istwert",
+            "gemessen",
+            "malt",
+            "mesure",
+            "medido",
+            "实际",
+            "测量",
+            "実測",
+            "измерен",
+            "측정",
+        ),
     }
 )
 _VOLTAGES: Final = frozenset(
     {
         *("u", "v", "m", "motor", "volt", "voltage", "input", "pwm", "duty"),
         *("spannung", "spenning", "spanning", "tension", "tensione", "tensao", "voltaje"),
-        *("tastgrad", "padrag", "stellgrosse"),
+        *("tastgrad", "padrag", "stellgrosse", "电压", "電圧", "モータ", "电机", "напряжен", "двигател"),
+        *("мотор", "전압", "모터"),
     }
 )
 """Words of the voltage of a motor that is not named, as in ``u1`` or ``motor_2``."""
@@ -162,8 +214,9 @@ _HALVES: Final = frozenset({"mean", "avg", "average", "half", "mid", "middle", "
 """Words of half a sum, or half a difference, of two voltages."""
 _TIMES: Final = frozenset(
     {
-        *("t", "time", "times", "timestamp", "stamp"),
-        *("tid", "zeit", "temps", "tiempo", "tempo", "tijd", "czas", "cas", "zaman", "时间"),
+        *("t", "time", "times", "timestamp", "stamp", "date", "datum", "fecha"),
+        *("tid", "zeit", "temps", "tiempo", "tempo", "tijd", "czas", "cas", "zaman", "时间", "時間", "時刻"),
+        *("врем", "시간", "χρον"),
         *("millis", "micros", "clock", "tout", "seconds", "elapsed", "zeitstempel", "uhrzeit", "tidspunkt"),
     }
 )
@@ -178,8 +231,8 @@ _OTHER_UNITS: Final = {
     "N": "another quantity",
     "W": "another quantity",
     "Nm": "another quantity",
-    "us": "a time or a width of pulses",
-    "ms": "a time or a width of pulses",
+    "us": PULSES,
+    "ms": PULSES,
 }
 """Quantities by units that neither an angle nor a voltage has."""
 _SPLIT: Final = re.compile(r"[^a-z0-9\u4e00-\u9fff]+|(?<=[a-z])(?=\d)|(?<=\d)(?!(?<=3)d(?![a-z]))(?=[a-z])")
@@ -189,9 +242,25 @@ _PATH: Final = re.compile(r"[./:]")
 _INDEX: Final = re.compile(r"\d+")
 _ELEMENT: Final = re.compile(r"[\[(]\d+[\])]$")
 _CAMEL: Final = re.compile(r"(?<=[a-z])(?=[A-Z])")
-_CHINESE: Final = tuple(
-    word for known in (*_WORDS.values(), _TIMES) for word in known if word and word[0] >= "\u4e00"
+_GREEK: Final = str.maketrans(
+    {
+        "ε": " epsilon ",
+        "θ": " theta ",
+        "φ": " phi ",
+        "ψ": " psi ",
+        "λ": " lambda ",
+        "ρ": " rho ",
+        "ω": " omega ",
+    }
 )
+"""Greek letters of angles; a letter is a word."""
+_DERIVATIVES: Final = (
+    (re.compile("(?<=[α-ω])\u0308"), " ddot "),
+    (re.compile(r"(?<=[α-ω])\u0307|(?<=(?<![^\W_])[a-hj-z])\u0307(?![^\W_])"), " dot "),
+    (re.compile(r"(?<=[α-ω])\u0302|(?<=(?<![^\W_])[a-z])\u0302(?![^\W_])"), " hat "),
+)
+"""Marks above a letter that is a symbol: points of a derivative, and the hat of an estimate. Above letters of
+words they are accents."""
 _MIN_PART: Final = 4
 """Fewest letters of a word within a compound, as in ``Nickwinkelgeschwindigkeit``; shorter ones are within
 many other words."""
@@ -213,6 +282,9 @@ class ColumnMeaning:
     """The quantity, such as ``a setpoint``, if it is no measured angle and no voltage; otherwise empty."""
     is_measured: bool = False  # Whether the name states that the value was measured
     possible_roles: tuple[str, ...] = ()  # Roles that name and unit permit
+
+
+_NO_MEANING: Final = ColumnMeaning(possible_roles=ROLES)
 
 
 def meanings_of(units: Mapping[str, str]) -> dict[str, ColumnMeaning]:
@@ -342,18 +414,31 @@ def _is_current(name: str) -> bool:
     return "i" in words and words <= {"i", "a", "ma"}
 
 
+def _without_accents(text: str) -> str:
+    """Return a `text` in lower case with plain letters; Greek letters become their names."""
+    plain = unicodedata.normalize("NFKD", text.lower().replace("ø", "o").replace("ł", "l"))
+    for mark, word in _DERIVATIVES:
+        plain = mark.sub(word, plain)
+    return "".join(char for char in plain if not unicodedata.combining(char)).translate(_GREEK)
+
+
+_STEMS: Final = {
+    _without_accents(word): word
+    for known in (*_WORDS.values(), *_OTHER_QUANTITIES.values(), _ROLLS, _MEASURED, _VOLTAGES, _TIMES)
+    for word in known
+    if word[0] > "\u0370"
+}
+"""Words of other scripts than the Latin one, by their plain letters: they have endings, or no spaces between
+them."""
+_STEM: Final = re.compile("|".join(sorted(map(re.escape, _STEMS), key=len, reverse=True)))
+
+
 def words_of(name: str) -> list[str]:
     """Split a column's `name`, without its unit, into lower-case words."""
-    bare = _CAMEL.sub("_", split_unit(name)[0])
-    without_accents = "".join(
-        char
-        for char in unicodedata.normalize("NFKD", bare.lower().replace("ø", "o").replace("ł", "l"))
-        if not unicodedata.combining(char)
-    )
-    words = [word for word in _SPLIT.split(without_accents) if word]
+    plain = _without_accents(_CAMEL.sub("_", split_unit(name)[0]))
+    words = [word for word in _SPLIT.split(plain) if word]
     words += [part for word in words for part in _parts_of(word)]
-    # Chinese writes no spaces between words.
-    words += [word for word in _CHINESE if word in without_accents]
+    words += [_STEMS[stem] for stem in _STEM.findall(plain)]
     pairs = list(itertools.pairwise(words))
     # In v_f, v s and u_d the letter of the voltage belongs to the next word.
     joined_pairs = [a + b for a, b in pairs if a in {"v", "u", "m"} and len(b) == 1]
@@ -388,7 +473,7 @@ def _stated_role(words: list[str]) -> str:
     distinctive = {
         role
         for role in stated
-        if any(word in _WORDS[role] and (len(word) > 2 or word in _CHINESE) for word in words)
+        if any(word in _WORDS[role] and (len(word) > 2 or word[0] > "\u0370") for word in words)
     }
     candidates = distinctive or stated
     # Next to another role, the letter p means something else, such as a position.
@@ -399,6 +484,8 @@ def _stated_role(words: list[str]) -> str:
 
 def _stated_quantity(words: list[str], role: str) -> str:
     """Return the quantity other than an angle or a voltage that the words state; empty if they state none."""
+    if role in PAIR and words[0] == "f" and any(len(word) > 2 and word in _WORDS[role] for word in words):
+        return "a force"
     is_voltage = bool(_VOLTAGES.intersection(words)) and role not in AXES
     names_side = is_voltage and all(word in _VOLTAGES | _SIDES or word in _WORDS["back"] for word in words)
     for quantity, known in _OTHER_QUANTITIES.items():
@@ -426,6 +513,12 @@ def direction_columns(units: Mapping[str, str]) -> dict[str, str]:
     }
 
 
+def states_voltage(name: str, unit: str) -> bool:
+    """Whether a `name` or its `unit` states a voltage, and not only a motor, as in ``front``."""
+    unit = unit or split_unit(name)[1]
+    return unit in VOLTAGE_UNITS or unit in SHARES or bool(_VOLTAGES.intersection(words_of(name)))
+
+
 def unknown_unit_of(name: str) -> str:
     """Return the unit that a `name` states in brackets, if it is unknown; a known word there is a remark."""
     text = unknown_unit(name)
@@ -445,4 +538,6 @@ def is_time(name: str) -> bool:
     words = words_of(name)
     # A column `min` may be a minimum.
     is_bare_unit = len(words) == 1 and len(words[0]) > 1 and unit_of(words[0]) in ("s", "ms", "us", "ns")
-    return bool(_TIMES.intersection(words) - {"t"}) or words[:1] == ["t"] or is_bare_unit
+    # In T_motor and T_amb the letter is a temperature.
+    is_letter = words[:1] == ["t"] and meaning_of(name) == _NO_MEANING and not _VOLTAGES.intersection(words)
+    return bool(_TIMES.intersection(words) - {"t"}) or is_letter or is_bare_unit

@@ -293,6 +293,7 @@ def propose(
     offset_deg, zero_ambiguities = elevation_zero(flights.rest(signs), reference)
     ambiguities += zero_ambiguities + lag_ambiguities(regressions)
     ambiguities += flights.pitch_zero(signs, regressions["pitch"].lag_s)
+    ambiguities += [_moved_by_hand(file.by_hand_s) for file in files if file.by_hand_s][:1]
     profile = known.applied(
         Profile(
             _angle_entries(assignment, scale, signs, reference, offset_deg),
@@ -304,7 +305,7 @@ def propose(
             mirrored=mirrored,
         )
     )
-    evidence = [columns_sentence]
+    evidence = [columns_sentence, *known.contradicted_headers(tables[0])]
     if options.left_out:
         left_out = ", ".join(f"{name} ({reason})" for name, reason in options.left_out.items())
         evidence.append(f"left out: {left_out}")
@@ -318,6 +319,17 @@ def propose(
     unknown = tuple(ambiguity for ambiguity in ambiguities if not known.states(ambiguity))
     proposed = Guess(profile, unknown, tuple(evidence), log_likelihood=assignment.log_likelihood)
     return ProposedGuess(proposed, longest_parts)
+
+
+def _moved_by_hand(span_s: tuple[float, float]) -> Ambiguity:
+    """Report a part of a file in which the arm moves while the motors are off."""
+    span = f"{span_s[0]:.1f} to {span_s[1]:.1f} s"
+    return Ambiguity(
+        "the rows with the motors off",
+        "part of the flight",
+        f"moved by hand from {span}",
+        "the arm moves there, and no motor does; if by hand, leave this part out with leave_out_s",
+    )
 
 
 def _states_unit(table: Table, clock: Clock) -> bool:

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from heli_host.data.files import parse_toml
 from heli_host.data.tables import Column, Profile, Table, profile_of, profile_text, read_entries
+from heli_host.data.tables.table import split_unit
 
 from heli_lab.setup.guess.names import ROLES, VOLTAGE_ROLES
 
@@ -179,6 +180,20 @@ class KnownEntries:
             for name, column in table.columns.items()
         }
         return replace(table, columns=columns) if units else table
+
+    def contradicted_headers(self, table: Table) -> list[str]:
+        """Describe each known unit of a column of which the header of a `table` states another one."""
+        stated = {
+            column: table.columns[column].unit or split_unit(column)[1]
+            for column in self.columns
+            if column in table.columns
+        }
+        return [
+            f"{role}: in {unit}, as {self.source} states, although the header of '{column}' states {other}"
+            for column, other in stated.items()
+            for role in [self.columns[column]]
+            if other and (unit := self._known_unit(role)) and unit != other
+        ]
 
     def _known_unit(self, role: str) -> str:
         """Known unit of a `role`; both voltages may share one entry. Empty if it is unknown."""

@@ -77,6 +77,8 @@ _HOVER_STD: Final = 0.25
 are within 0.15."""
 _MAX_DEVIATION_STD: Final = 3.0
 """Deviation from the rig file, in standard deviations, from which on the guess reports that no unit fits."""
+_DOUBTFUL_COUNTS_STD: Final = 1.2
+"""The same of elevation from which on counts per turn are in doubt: half as many deviate by 1.4."""
 _COMMON_GAIN: Final = 0.9
 _COMMON_GAIN_SPREAD: Final = 0.9
 """Smallest mean of the logarithms of all axes' gains over the rig file's, and their largest range, from which
@@ -103,6 +105,9 @@ _CENTRED_NATS: Final = 0.5
 than -1, and centred ones of simulated flights 0.7 and more."""
 _MAX_DUTY: Final = 2.2
 """Largest sum of two duty cycles; the rest is noise."""
+_MIN_MEDIAN: Final = 0.12
+"""Smallest median of a flight that does not begin at rest, as a share of the table's depth, from which on its
+zero is in doubt: most pilots fly near level, and a zero at rest is a table's depth away."""
 _MIN_CLIMB: Final = 0.5
 """Smallest climb from the table to the median of a flight, as a share of the table's depth below level. Most
 pilots fly near level; a smaller climb may be one from a turning point in flight."""
@@ -394,7 +399,7 @@ def choose_scale(motion: MeasuredMotion, reference: Reference, rig: Rig) -> tupl
         # With the unit of the header, no flight could be written.
         as_stated = ranked
     best = as_stated[0]
-    return best, [
+    ambiguities = [
         *_contradicted_headers(best, ranked[0], motion),
         *_equally_likely_units(as_stated, motion, reference, rig),
         *_implausible_scales(best, rig),
@@ -402,6 +407,27 @@ def choose_scale(motion: MeasuredMotion, reference: Reference, rig: Rig) -> tupl
         *_missing_bias(best, reference),
         *_centred_shares(best, motion, reference),
         *_unknown_supply(as_stated, motion, reference),
+    ]
+    return best, ambiguities + _doubtful_counts(best, reference, rig, {each.subject for each in ambiguities})
+
+
+def _doubtful_counts(best: Scale, reference: Reference, rig: Rig, subjects: set[str]) -> list[Ambiguity]:
+    """Report the counts per turn of all angles if the motion contradicts the scale of one, or elevation may
+    have half or twice of them: a program that counts other edges does so on each encoder.
+    """
+    counted = [axis for axis, unit in best.angles.items() if unit == COUNT]
+    deviation_std = abs((best.deviation_std or {}).get("elevation", 0.0))
+    is_contradicted = any({f"{axis}'s unit", f"the scale of {axis}"} & subjects for axis in counted)
+    if len(counted) < 2 or not (is_contradicted or deviation_std > _DOUBTFUL_COUNTS_STD):
+        return []
+    return [
+        Ambiguity(
+            "the scale of the encoders",
+            ", ".join(f"{axis} {reference.counts[axis]:g}" for axis in counted),
+            "half, twice or four times as many",
+            f"these are those of rig {rig.name}, and the motion fits others as well or better; turn an axis "
+            "by a known angle",
+        )
     ]
 
 
@@ -657,12 +683,12 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
         return 0.0, [Ambiguity("the elevation's zero", chosen, alternative, reason)]
 
     if rest.deg is None:
-        if abs(rest.median_deg) < 0.5 * abs(table_deg):
+        if abs(rest.median_deg) < _MIN_MEDIAN * abs(table_deg):
             return 0.0, []
         return unchanged(
             f"0 as it is, with {rest.median_deg:.0f} deg in flight",
             f"0 at rest, so {table_deg:g} deg to add"
-            if abs(rest.median_deg) < 2.0 * abs(table_deg)
+            if 0.5 * abs(table_deg) < abs(rest.median_deg) < 2.0 * abs(table_deg)
             else f"{-rest.median_deg:.0f} deg to add, so that it flies at 0 deg",
             "the flight does not begin at rest; start logging while the arm is on the table",
         )
