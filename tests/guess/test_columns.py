@@ -141,6 +141,28 @@ def test_a_part_that_is_moved_by_hand_before_the_flight_is_no_evidence_and_is_do
 
 
 @pytest.mark.medium
+@pytest.mark.parametrize(
+    ("per_rad", "header", "subject"),
+    [
+        (1024.0 / (2.0 * math.pi), "", "the units"),
+        (1024.0 / (2.0 * math.pi), " [counts]", "the scale of the encoders"),
+        (4096.0 / (2.0 * math.pi), " [counts]", ""),
+    ],
+)
+def test_whole_numbers_of_an_encoder_that_is_not_the_rigs_are_doubted(
+    per_rad: float, header: str, subject: str
+) -> None:
+    table = flight_table()
+    counts = {axis: Column(np.rint(per_rad * table.columns[axis].values)) for axis in AXES}
+    if per_rad == 4096.0 / (2.0 * math.pi):
+        counts["travel"] = Column(2.0 * counts["travel"].values)
+    counted = replace(table, columns={**table.columns, **counts})
+    named = renamed(counted, **{axis: f"{axis}{header}" for axis in AXES})
+    doubts = subjects(proposed(named)) & {"the units", "the scale of the encoders"}
+    assert subject in doubts or not (subject or doubts)
+
+
+@pytest.mark.medium
 def test_a_column_that_states_a_voltage_is_the_motors() -> None:
     table = flight_table()
     forces = {name: Column(2.0 * table.columns[name].values ** 2) for name in PAIR}

@@ -408,7 +408,30 @@ def choose_scale(motion: MeasuredMotion, reference: Reference, rig: Rig) -> tupl
         *_centred_shares(best, motion, reference),
         *_unknown_supply(as_stated, motion, reference),
     ]
-    return best, ambiguities + _doubtful_counts(best, reference, rig, {each.subject for each in ambiguities})
+    ambiguities += _doubtful_counts(best, reference, rig, {each.subject for each in ambiguities})
+    return best, ambiguities + _whole_numbers(best, motion)
+
+
+def _whole_numbers(best: Scale, motion: MeasuredMotion) -> list[Ambiguity]:
+    """Report angles in whole numbers without a stated unit that the motion takes for other units than counts:
+    an encoder with other counts per turn than the rig's has such numbers, too.
+    """
+    axes = [
+        axis
+        for axis, unit in best.angles.items()
+        if motion.integer_valued[axis] and not motion.stated_units[axis] and unit != COUNT
+    ]
+    if len(axes) < 2:
+        return []
+    return [
+        Ambiguity(
+            "the units",
+            str(best),
+            "counts of an encoder with another number of counts per turn",
+            f"{' and '.join(axes)} have whole numbers, and the file does not state their unit; state it in "
+            "the header or the profile",
+        )
+    ]
 
 
 def _doubtful_counts(best: Scale, reference: Reference, rig: Rig, subjects: set[str]) -> list[Ambiguity]:
