@@ -610,6 +610,7 @@ def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "
     screening = Screening(replace(before, disturbances=after.disturbances))
     values = _plane_values(screening)
     if first not in _PLANES:
+        # The first quantity is the one along which the model fails most clearly.
         line_evidence = {
             name: _evidence(screening, axis, _cells_along(values[name]), _CELLS) for name in _MOTION
         }
@@ -617,6 +618,7 @@ def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "
     plane_evidence = {}
     for name in _MOTION:
         if name != first:
+            # Number of the cell in the plane: row times cells of a row, plus column.
             cells = _cells_along(values[first]) * _CELLS + _cells_along(values[name])
             plane_evidence[name] = _evidence(screening, axis, cells, _CELLS**2)
     second = max(plane_evidence, key=lambda name: plane_evidence[name])

@@ -319,7 +319,10 @@ class InnovationsModel:
             linearised, blocks, window_errors, batch = job
             models, step_s = disturbance_models[batch], linearised.reference.step_s
             nats = _kalman.log_likelihoods(
-                *(blocks.transition, blocks.part_input, blocks.measurement, blocks.variance),
+                blocks.transition,
+                blocks.part_input,
+                blocks.measurement,
+                blocks.variance,
                 np.array([model.autocorrelation(step_s) for model in models]),
                 np.array([model.variance for model in models]),
                 np.array([model.quantisation for model in models]),
@@ -348,6 +351,8 @@ def _repetition_correction_nats(
         # Without play and rest the variance is that of rounding, and each logarithm below is 0.
         return np.zeros((len(models), blocks.variance.shape[1]))
     rounding, repeats = linearised.variance[blocks.rows], linearised.repeats[blocks.rows]
+    # Variance by the play, in variances of the rounding; and (N - 1) / N of a measurement, which is the share
+    # that gets the density of rounding errors.
     excess, dependent_share = blocks.variance / rounding - 1.0, 1.0 - 1.0 / repeats
 
     def nats(quantisation: Floats) -> Floats:
@@ -448,6 +453,7 @@ def refiltered(filtered: InnovationsModel, disturbances: DisturbanceModel) -> li
         for window, rows in zip(linearised.windows, reference.windows, strict=True):
             before, after = _kalman.track(
                 steps.Phi[window],
+                # A block of one part, the step itself.
                 np.ascontiguousarray(disturbance_input[window])[None],
                 steps.C[window],
                 np.ascontiguousarray(linearised.variance[window] * disturbances.quantisation),
@@ -457,6 +463,7 @@ def refiltered(filtered: InnovationsModel, disturbances: DisturbanceModel) -> li
                 steps.drive[window],
                 steps.output_error[window],
             )
+            # The filter's state is the deviation from the reference; effects' states are not kept.
             predicted[rows] = reference.predicted[rows] + before[:, :followed]
             corrected[rows] = reference.predicted[rows] + after[:, :followed]
         references.append(reference.refiltered(predicted, corrected))

@@ -151,11 +151,12 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
     # First row of each step.
     rows = np.arange(len(record.t_s) // every) * every
     measured, sample_count = _centred_means(record, rows, every // 2)
-    m = measured.shape[1]
     variance = np.broadcast_to(quantisation_std(record) ** 2, measured.shape)
+    # A first pass gives rough rates, and the rates the variance of the means for a second pass.
     _, rough = _filter_kinematics(measured, variance, step_s, kinematics)
+    rough_rates = rough[:, measured.shape[1] :]
     # The errors of the averaged samples are independent if the count changes between them, and equal at rest.
-    counts_per_step = np.abs(rough[:, m:]) * record.step_s * every / record.resolution
+    counts_per_step = np.abs(rough_rates) * record.step_s * every / record.resolution
     variance = variance / (1.0 + (sample_count - 1.0) * np.minimum(counts_per_step, 1.0))
     predicted, filtered = _filter_kinematics(measured, variance, step_s, kinematics)
     windows = []

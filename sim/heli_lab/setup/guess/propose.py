@@ -262,11 +262,7 @@ def propose(
     assignment = ranked[0]
     doubtful_columns, columns_sentence = column_ambiguities(ranked, options, files, reference)
     # Units: those that the file states, and otherwise those with gains like the rig's.
-    scale, unit_ambiguities = choose_scale(motion, reference, rig)
-    logged_supply = with_logged_supply(reference, files, abs(motion.mean_sum) * scale.volts(reference))
-    if scale.voltage in SHARES and logged_supply is not reference:
-        reference = logged_supply
-        scale, unit_ambiguities = choose_scale(motion, reference, rig)
+    reference, scale, unit_ambiguities = _chosen_units(files, motion, reference, rig)
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
     ambiguities += doubtful_columns + unit_ambiguities + unknown_unit_ambiguities(assignment, scale)
@@ -305,31 +301,51 @@ def propose(
             mirrored=mirrored,
         )
     )
-    evidence = [columns_sentence, *known.contradicted_headers(tables[0])]
-    if options.left_out:
-        left_out = ", ".join(f"{name} ({reason})" for name, reason in options.left_out.items())
-        evidence.append(f"left out: {left_out}")
-    evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES]
-    evidence += [lag_sentence(regressions), _hover_sentence(motion, scale, reference)]
     longest_parts = [file.table for file in files]
     # Programs log commands that the motors cannot follow: voltages above the supply were limited to it.
     if profile.clip_V is None:
         profile, limit_ambiguities = limited(longest_parts, profile, reference, flights.one_way_nats)
         ambiguities += limit_ambiguities
     unknown = tuple(ambiguity for ambiguity in ambiguities if not known.states(ambiguity))
+    evidence = [columns_sentence, *known.contradicted_headers(tables[0])]
+    if options.left_out:
+        left_out = ", ".join(f"{name} ({reason})" for name, reason in options.left_out.items())
+        evidence.append(f"left out: {left_out}")
+    evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES]
+    evidence += [lag_sentence(regressions), _hover_sentence(motion, scale, reference)]
     proposed = Guess(profile, unknown, tuple(evidence), log_likelihood=assignment.log_likelihood)
     return ProposedGuess(proposed, longest_parts)
 
 
 def _moved_by_hand(span_s: tuple[float, float]) -> Ambiguity:
     """Report a part of a file in which the arm moves while the motors are off."""
-    span = f"{span_s[0]:.1f} to {span_s[1]:.1f} s"
+    begin_s, end_s = span_s
+    span = f"{begin_s:.1f} to {end_s:.1f} s"
     return Ambiguity(
         "the rows with the motors off",
         "part of the flight",
         f"moved by hand from {span}",
         "the arm moves there, and no motor does; if by hand, leave this part out with leave_out_s",
     )
+
+
+class _ChosenUnits(NamedTuple):
+    """Units of the columns, and what is unsure about them."""
+
+    reference: Reference  # The reference with the supply that the files log, if the voltages are shares of it
+    scale: Scale
+    ambiguities: list[Ambiguity]
+
+
+def _chosen_units(
+    files: Sequence[PreparedFile], motion: MeasuredMotion, reference: Reference, rig: Rig
+) -> _ChosenUnits:
+    """Choose the units with the rig file's supply, and once more if the files log another supply."""
+    scale, ambiguities = choose_scale(motion, reference, rig)
+    logged_supply = with_logged_supply(reference, files, abs(motion.mean_sum) * scale.volts(reference))
+    if scale.voltage not in SHARES or logged_supply is reference:
+        return _ChosenUnits(reference, scale, ambiguities)
+    return _ChosenUnits(logged_supply, *choose_scale(motion, logged_supply, rig))
 
 
 def _states_unit(table: Table, clock: Clock) -> bool:
