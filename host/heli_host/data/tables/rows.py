@@ -6,7 +6,7 @@ import bisect
 import itertools
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -38,6 +38,8 @@ _GLITCH_STEPS: Final = 20.0
 network arrive up to some ten rows late."""
 _HOLE_STEPS: Final = 1.5
 """Step, in typical steps, from which a row is missing there, so that a displaced row fits."""
+_COARSE_SHARE: Final = 0.3
+"""Share of steps without a change of the time from which a clock is coarse: rows then share times."""
 _MAX_MISFITS: Final = 3
 """Largest number of neighbouring rows that count as damaged. Set by judgement: more rows whose times fit
 nowhere are the begin of another recording."""
@@ -232,13 +234,13 @@ class _Clock:
         misfits: list[Integers] = []
         moved = falls = start = 0
         while start < self.times.size:
-            stop, segment, bad, segment_moved, segment_falls = self._sorted_segment(start)
-            order.append(segment)
-            misfits.append(bad)
-            moved, falls = moved + segment_moved, falls + segment_falls
-            if stop < self.times.size:
+            segment = self._sorted_segment(start)
+            order.append(segment.rows)
+            misfits.append(segment.misfits)
+            moved, falls = moved + segment.moved, falls + segment.falls
+            if segment.restart < self.times.size:
                 self.cuts.append(sum(part.size for part in order))
-            start = stop
+            start = segment.restart
         kept, bad = np.concatenate(order), np.concatenate(misfits)
         if moved:
             self.changes.append(
@@ -283,12 +285,8 @@ class _Clock:
             )
         self.rows, self.times = rest_rows, rest
 
-    def _sorted_segment(self, start: int) -> tuple[int, Integers, Integers, int, int]:
-        """Sort the rows from `start` on until the clock starts again.
-
-        Returns the row at which it starts again, the sorted rows, rows that fit nowhere, and how many rows
-        and falls were sorted.
-        """
+    def _sorted_segment(self, start: int) -> _SortedSegment:
+        """Sort the rows from `start` on until the clock starts again."""
         times = self.times
         kept: list[Integers] = []
         misfits: list[int] = []
@@ -299,24 +297,26 @@ class _Clock:
             if fall <= position and position > start:
                 continue
             first, last = self._disorder(position, int(fall), highest, start)
-            fitted, bad = self._fit(np.arange(first, last))
-            if bad is None:
+            cluster = self._fit(np.arange(first, last))
+            if cluster is None:
                 restart = first + 1 + int(np.argmin(np.diff(times[first:last])))
                 segment = np.concatenate([*kept, np.arange(position, restart)])
                 # The rows before the restart may be in disorder themselves.
                 segment = segment[np.argsort(times[segment], kind="stable")]
-                return restart, segment, np.array(misfits, int), moved, sorted_falls
-            kept += [np.arange(position, first), fitted]
-            misfits += bad.tolist()
-            remaining = np.sort(fitted)
-            moved += int((remaining != fitted).sum())
+                return _SortedSegment(restart, segment, np.array(misfits, int), moved, sorted_falls)
+            kept += [np.arange(position, first), cluster.rows]
+            misfits += cluster.misfits.tolist()
+            remaining = np.sort(cluster.rows)
+            moved += int((remaining != cluster.rows).sum())
             sorted_falls += int((np.diff(times[remaining]) < 0.0).sum())
             position = last
         kept.append(np.arange(position, times.size))
-        return times.size, np.concatenate(kept), np.array(misfits, int), moved, sorted_falls
+        return _SortedSegment(times.size, np.concatenate(kept), np.array(misfits, int), moved, sorted_falls)
 
     def _disorder(self, position: int, fall: int, highest: Floats, start: int) -> tuple[int, int]:
         """Return the first row and the row after the last of the disorder around a `fall`."""
+        # The disorder grows at its end by rows that are earlier than one before it, and at its beginning by
+        # rows that are later than one in it, until neither adds a row.
         times = self.times
         first, last = fall - 1, fall + 1
         while True:
@@ -330,37 +330,54 @@ class _Clock:
                 return begin, end
             first, last = begin, end
 
-    def _fit(self, cluster: Integers) -> tuple[Integers, Integers | None]:
-        """Sort a `cluster`; return its rows and its misfits, or None if the clock starts again there."""
+    def _fit(self, cluster: Integers) -> _SortedCluster | None:
+        """Sort the rows of a `cluster` by time; return None if the clock starts again there."""
         times = self.times[cluster]
         order = np.argsort(times, kind="stable")
         if cluster.size > _MAX_CLUSTER:
-            return cluster, None
+            return None
         is_tidy = (np.diff(times[order]) > 0.5 * self.step).all()
         if is_tidy and float(np.ptp(times)) / self.step < 2.0 * cluster.size + _EDGE_STEPS:
-            return cluster[order], np.zeros(0, int)
+            return _SortedCluster(cluster[order], np.zeros(0, int))
+        # Most rows are in order; each displaced row has to fit between two of them.
         backbone = longest_rise(times)
         is_displaced = np.ones(times.size, bool)
         is_displaced[backbone] = False
-        rest = times[backbone]
-        is_coarse = rest.size > 1 and float(np.mean(np.diff(rest) == 0.0)) > 0.3
+        rising = times[backbone]
+        is_coarse = rising.size > 1 and float(np.mean(np.diff(rising) == 0.0)) > _COARSE_SHARE
         kept: list[int] = backbone.tolist()
-        bad: list[int] = []
+        misfits: list[int] = []
         repeats = 0
         for index in np.flatnonzero(is_displaced).tolist():
-            place = int(np.searchsorted(rest, times[index]))
-            is_inside = 0 < place < rest.size
-            is_hole = is_inside and rest[place] - rest[place - 1] > _HOLE_STEPS * self.step
-            is_repeated = place < rest.size and rest[place] == times[index]
+            place = int(np.searchsorted(rising, times[index]))
+            is_inside = 0 < place < rising.size
+            is_hole = is_inside and rising[place] - rising[place - 1] > _HOLE_STEPS * self.step
+            is_repeated = place < rising.size and rising[place] == times[index]
             repeats += is_repeated and not is_coarse
-            (kept if is_hole or is_coarse or is_repeated else bad).append(index)
+            (kept if is_hole or is_coarse or is_repeated else misfits).append(index)
         # A few rows with the times of others may be late copies; many are those of a clock that was set back.
-        if len(bad) > _MAX_MISFITS or repeats > _MAX_MISFITS:
-            return cluster, None
+        if len(misfits) > _MAX_MISFITS or repeats > _MAX_MISFITS:
+            return None
         kept_rows = np.sort(np.array(kept, np.int64))
-        return cluster[kept_rows[np.argsort(times[kept_rows], kind="stable")]], cluster[
-            np.array(bad, np.int64)
-        ]
+        by_time = kept_rows[np.argsort(times[kept_rows], kind="stable")]
+        return _SortedCluster(cluster[by_time], cluster[np.array(misfits, np.int64)])
+
+
+class _SortedCluster(NamedTuple):
+    """Neighbouring rows in disorder, sorted by time."""
+
+    rows: Integers
+    misfits: Integers  # Rows whose times fit nowhere
+
+
+class _SortedSegment(NamedTuple):
+    """Rows between two starts of a clock, sorted by time."""
+
+    restart: int  # Row at which the clock starts again; the number of rows if it does not
+    rows: Integers
+    misfits: Integers  # Rows whose times fit nowhere
+    moved: int  # Number of rows that were moved
+    falls: int  # Number of falls of the time that were sorted
 
 
 def _typical_step(times: Floats) -> float:
@@ -518,12 +535,14 @@ def _repeated_blocks(times: Floats, part: Floats) -> Booleans:
         start = int(starts[tick])
         rows = part[start : start + int(sizes[tick])]
         for length in range(2, int(excess[tick]) + 2):
+            # Rows that equal the row `length` rows later; a whole run of them is a block and its copy.
             equal = (rows[length:] == rows[:-length]).all(axis=1)
-            blocks = [block for block in runs_of(equal) if block[1] - block[0] >= length]
-            distinct = [first for first, _ in blocks if np.ptp(rows[first : first + length], axis=0).any()]
-            if distinct:
-                first = start + distinct[0] + length
-                result[first : first + length] = True
+            originals = [first for first, stop in runs_of(equal) if stop - first >= length]
+            # At rest, all rows are equal without being copies.
+            moving = [first for first in originals if np.ptp(rows[first : first + length], axis=0).any()]
+            if moving:
+                copy = start + moving[0] + length
+                result[copy : copy + length] = True
                 break
     return result
 
