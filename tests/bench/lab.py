@@ -79,8 +79,8 @@ def measure_identification(say: Callable[[str], None] = lambda _: None) -> list[
     ]
 
 
-EARLIER: Final = "dbf78e4af8d516c4feade925c8b4043909de5f0b"
-"""Before the search went by innovations."""
+EARLIER: Final = "17841163cc5c689c9e712c83b827c0566276004d"
+"""Before the diagnosis models voltages between the rows of a slow log."""
 DATA: Final = ROOT.parent / "shared" / "data"
 PAIRS: Final = {
     "diagnose_one_effect_ratio": (
@@ -158,7 +158,7 @@ def earlier(folder: Path) -> Run | str:
         archive.extractall(folder / "commit", filter="data")
     copy = ChangedCopy(folder / "copy", folder / "commit")
     try:
-        copy.build("-O2")
+        copy.build("-O2", compiled=("_native", "_kalman", "_expression_vm"))
     except AssertionError as error:
         return f"commit {EARLIER[:7]} does not build here: {str(error).strip().splitlines()[-1]}"
     return lambda arguments: run_and_measure(copy.heli_host_command(*arguments), folder, copy.environment())

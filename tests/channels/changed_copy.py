@@ -8,9 +8,11 @@ import subprocess
 import sys
 import sysconfig
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 
 from heli_lab.fit import _kalman
+from heli_sim import _native
 from heli_sim.evaluate import _expression_vm
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,8 +61,8 @@ class ChangedCopy:
         """Write the copy's tables from its declaration."""
         self.run(str(self.root / "firmware" / "generate.py"))
 
-    def build(self, optimised: str = "-O0") -> None:
-        """Compile what the native board needs, at the least cost."""
+    def build(self, optimised: str = "-O0", compiled: Sequence[str] = ("_native",)) -> None:
+        """Compile some extensions, at the least cost, and copy the others, which need no declaration."""
         # Unoptimised, which computes the same, and each library in one piece: 10 s of CPU instead of 34, most
         # of which are headers that every file of the bindings' library reads again.
         build = self.root / "build"
@@ -68,24 +70,21 @@ class ChangedCopy:
         configure = [cmake, "-S", str(self.root), "-B", str(build), f"-DPython_EXECUTABLE={sys.executable}"]
         configure += ["-DCMAKE_BUILD_TYPE=Debug", f"-DCMAKE_CXX_FLAGS_DEBUG={optimised}"]
         configure += ["-DCMAKE_UNITY_BUILD=ON", "-DCMAKE_UNITY_BUILD_BATCH_SIZE=0"]
-        for command in (configure, [cmake, "--build", str(build), "--target", "_native", "--parallel", "2"]):
+        for command in (configure, [cmake, "--build", str(build), "--parallel", "2", "--target", *compiled]):
             process = subprocess.run(command, capture_output=True, text=True, check=False)
             assert process.returncode == 0, process.stdout[-4000:] + process.stderr[-4000:]
-        (extension,) = build.glob("_native*.so")
-        self.extension.write_bytes(extension.read_bytes())
-        # The extensions of the laboratory do not depend on the declaration. An earlier commit may have none.
-        suffix = sysconfig.get_config_var("EXT_SUFFIX")
-        for module in (_kalman, _expression_vm):
-            package, name = module.__name__.rsplit(".", 1)
-            folder = self.root / "sim" / Path(*package.split("."))
-            if folder.exists():
-                shutil.copy(str(module.__file__), folder / f"{name}{suffix}")
+        for module in (_native, _kalman, _expression_vm):
+            name = module.__name__.rpartition(".")[2]
+            # Its declarations lie where Python looks for the extension.
+            (declarations,) = (self.root / "sim").rglob(f"{name}.pyi")
+            files = build.rglob(f"{name}*.so") if name in compiled else [Path(str(module.__file__))]
+            (file,) = files
+            shutil.copy(file, declarations.with_name(f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}"))
 
     @property
     def extension(self) -> Path:
         """Where the copy's host looks for the native board."""
-        suffix = sysconfig.get_config_var("EXT_SUFFIX")
-        return self.root / "sim" / "heli_sim" / f"_native{suffix}"
+        return self.root / "sim" / "heli_sim" / f"_native{sysconfig.get_config_var('EXT_SUFFIX')}"
 
     def run(self, *command: str) -> str:
         """Run Python on the copy's packages: a script, or ``-c`` and a program; what it printed."""

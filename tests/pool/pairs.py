@@ -191,6 +191,7 @@ def _diagnosis(label: str, hypothesis: Hypothesis) -> RigDiagnosis:
         priors=priors,
         causes={_LAG: 1.0},
         undetectable=(),
+        is_explained=True,
     )
 
 

@@ -55,6 +55,7 @@ def diagnosis(gain: float, lag_s: float | None, hidden: tuple[str, ...] = ()) ->
             {"effect": "backlash.pitch", "confidence": 0.5},
         ]
     return {
+        "verdict": "cause_found" if causes else "explained",
         "causes": causes,
         "undetectable": list(hidden),
         "rig": {"name": "makki2024", "model": "multibody", "numbers": numbers},
@@ -248,12 +249,15 @@ def test_machines_are_pooled_and_a_prior_is_left(terminal: Terminal, tmp_path: P
     paths = [tmp_path / f"lab{n}.json" for n in range(3)]
     for path, lag_s in zip(paths, (0.08, 0.09, 0.1), strict=True):
         path.write_text(json.dumps(diagnosis(gain, lag_s)))
+    unexplained = {**json.loads(paths[2].read_text()), "verdict": "unexplained"}
+    paths[2].write_text(json.dumps(unexplained))
     out, numbers = tmp_path / "pooled.toml", tmp_path / "pooled.json"
     result = terminal("pool", *paths, "--save-rig", out, "--json", numbers)
     assert result.code == 0, result.err
     assert "3 rigs of type makki2024, model multibody" in result.out
     assert "rotor_lag: on 3 of 3 rigs that could show it; 29 to 100 % of all rigs of this type" in result.out
     assert "backlash.pitch: on 0 of 0 rigs that could show it; 0 to 100 % of all rigs" in result.out
+    assert "caution: unexplained, so their parameters may be biased: lab2" in result.out
     assert "undecided on 3 more: confidence below 0.9; diagnose with --validate" in result.out
     assert load_rig(out)["thrust_gain"].value > 1.05 * RIG["thrust_gain"].value
     content = json.loads(numbers.read_text())

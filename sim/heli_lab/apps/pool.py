@@ -72,6 +72,8 @@ class RigDiagnosis:
         Diagnosed effects with their confidence, 0 to 1.
     undetectable : tuple of str
         Effects that the flights could not show.
+    is_explained : bool
+        Whether the model with the causes explains the flights. Otherwise the parameters may be biased.
     """
 
     label: str
@@ -81,6 +83,7 @@ class RigDiagnosis:
     priors: Mapping[str, ParameterEstimate]
     causes: Mapping[str, float]
     undetectable: tuple[str, ...]
+    is_explained: bool
 
 
 def read_rig_diagnosis(path: Path) -> RigDiagnosis:
@@ -122,6 +125,7 @@ def _rig_diagnosis_of_json(path: Path, content: Mapping[str, Any]) -> RigDiagnos
         priors=priors,
         causes={str(cause["effect"]): float(cause["confidence"]) for cause in content["causes"]},
         undetectable=tuple(map(str, content["undetectable"])),
+        is_explained=content["verdict"] != "unexplained",
     )
 
 
@@ -282,6 +286,14 @@ class RigPopulation:
     diagnoses: tuple[RigDiagnosis, ...]
     parameters: Mapping[str, RandomEffects]
     causes: Mapping[str, Share]
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What makes the result less reliable, a sentence each."""
+        unexplained = [diagnosis.label for diagnosis in self.diagnoses if not diagnosis.is_explained]
+        if not unexplained:
+            return ()
+        return (f"unexplained, so their parameters may be biased: {', '.join(unexplained)}",)
 
     def predict_parameter(self, name: str, prior: ParameterEstimate, spread: float) -> tuple[float, float]:
         """Predict a parameter of another rig of this type, by the random-effects model.

@@ -57,9 +57,12 @@ def pool(
     say(*_population_lines(population))
     if save_rig is not None:
         type_rig = load_rig(rig or population.diagnoses[0].rig)
-        comment = f"Pooled by heli-host pool from {len(population.diagnoses)} rigs."
+        comment = ". ".join(
+            (f"Pooled by heli-host pool from {len(population.diagnoses)} rigs", *population.cautions, "")
+        ).strip()
         write_rig(population.prior_rig(type_rig, save_rig.stem), save_rig, comment)
     content = {
+        "cautions": list(population.cautions),
         "machines": [diagnosis.label for diagnosis in population.diagnoses],
         "numbers": {name: asdict(number) for name, number in population.parameters.items()},
         "causes": {
@@ -109,6 +112,7 @@ def _population_lines(population: RigPopulation) -> list[str]:
     for name, number in population.parameters.items():
         tau = f"{number.tau:.2g}" if number.machines > 1 else "unknown"
         lines.append(f"  {name:32}{number.mean:>10.4g}{number.std:>11.2g}{tau:>18}  {units[name]}")
+    lines += [f"  caution: {caution}" for caution in population.cautions]
     return lines
 
 
