@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import heli_host
 import numpy as np
@@ -219,6 +219,8 @@ def test_a_closed_vehicle_has_landed() -> None:
     heli.take_off()
     heli.close()
     witness.assert_landed()
+    with pytest.raises(HeliError, match="the session is closed; connect again"):
+        heli.setpoint(elevation_deg=1.0)
 
 
 def test_an_interrupt_during_the_landing_stops_the_motors_and_says_so(
@@ -257,9 +259,10 @@ def test_no_wait_is_of_zero_ticks() -> None:
             tick = heli.latest.tick
             heli.wait(duration_s)
             assert heli.latest.tick > tick
-        for duration_s in (-1.0, float("nan"), float("inf")):
-            with pytest.raises(HeliError, match="give a number of seconds"):
-                heli.wait(duration_s)
+        for impossible_s in (-1.0, float("nan"), float("inf"), cast(float, "1")):
+            for duration_of in (heli.wait, heli.samples):
+                with pytest.raises(HeliError, match="give a number of seconds"):
+                    duration_of(impossible_s)
 
 
 @pytest.mark.parametrize("duration_s", [0.1, 0.3, 0.6, 0.7, 0.9, 1.1, 1.3, 0.0301])

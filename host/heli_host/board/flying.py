@@ -192,6 +192,7 @@ class Flying:
 
     def setpoint(self, targets_deg: dict[str, float], lead_s: float = LEAD_S) -> None:
         """Send a setpoint [deg] of some axes, to be reached `lead_s` from now; the other axes keep theirs."""
+        self.session.check()
         previous = self.target if self.target is not None else self._target_here()
         check_setpoint(targets_deg, self.params)
         if not (isinstance(lead_s, Real) and 0.0 <= lead_s <= MAX_LEAD_S):

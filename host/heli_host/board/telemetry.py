@@ -9,7 +9,7 @@ from heli_host.board.parameters import Parameters
 from heli_host.board.samples import Sample, SampleRing, Samples, Scales
 from heli_host.declaration import ParamsSource, Reset
 from heli_host.errors import LinkError, WaitTimeout, fault_text
-from heli_host.link.clock import TICK_S
+from heli_host.link.clock import TICK_S, check_duration
 from heli_host.link.events import BOARD_RESTARTED, LinkEvent
 from heli_host.link.session import Session, Unsubscribe
 from heli_host.link.telemetry import Ticks
@@ -73,8 +73,10 @@ class Telemetry:
 
     def samples(self, last_s: float | None = None) -> Samples:
         """Return copies of the samples of the last `last_s`, or of the whole history, oldest first."""
-        count = None if last_s is None else round(last_s / TICK_S)
-        return self._in_units(self._ring.newest(count))
+        if last_s is None:
+            return self._in_units(self._ring.newest())
+        check_duration(last_s, "a history")
+        return self._in_units(self._ring.newest(round(last_s / TICK_S)))
 
     def on_ticks(self, callback: Callable[[Samples], None]) -> Unsubscribe:
         """Register a callback for new samples, and return a function that cancels the subscription."""

@@ -10,12 +10,15 @@ trip is subtracted as the transit time from board to host.
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import NamedTuple
 
 from heli_host.declaration import TICK_US
+from heli_host.errors import ParameterError
 
 TICK_S = TICK_US * 1e-6
 
@@ -29,6 +32,12 @@ _STEP_BINS = 4
 _MIN_TICK_S = 1e-9
 """Shortest tick of a line, a millionth of the real one: faster than any simulation. Arrivals that a busy
 computer reads together have the same host time; a slope of 0 could not convert host times to ticks."""
+
+
+def check_duration(value: float, what: str) -> None:
+    """Raise a ParameterError unless `value` is a finite number of seconds, 0 or more."""
+    if not (isinstance(value, Real) and 0.0 <= value < math.inf):
+        raise ParameterError(f"{what} of {value!r} s is impossible", "give a number of seconds, 0 or more")
 
 
 class _Point(NamedTuple):

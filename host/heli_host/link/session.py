@@ -38,8 +38,8 @@ from heli_host.declaration import (
     VoltagesMessage,
     WelcomeMessage,
 )
-from heli_host.errors import HeliError, LinkError, LinkLost, ParameterError, WaitTimeout
-from heli_host.link.clock import TICK_S, ClockEstimate
+from heli_host.errors import HeliError, LinkError, LinkLost, WaitTimeout
+from heli_host.link.clock import TICK_S, ClockEstimate, check_duration
 from heli_host.link.engine import UNNUMBERED, Command, Engine, Received, Request
 from heli_host.link.events import CALLBACK_FAILED, LinkEvent
 from heli_host.link.frames import Frame, no_welcome
@@ -362,6 +362,10 @@ class Session:
         """Whether the board answers at present."""
         return self._engine.handshake.is_open and self._driver.fatal_error is None
 
+    def check(self) -> None:
+        """Raise the error of a failed callback, or the reason why the session has ended, if there is any."""
+        self._driver.check()
+
     @property
     def counters(self) -> LinkCounters:
         """Counters of frames, ticks, retries and reconnects since the first welcome."""
@@ -568,10 +572,7 @@ class Session:
 
         At least one tick passes: a loop that waits for a rest of less than a tick comes to its end.
         """
-        if not 0.0 <= duration_s < math.inf:
-            raise ParameterError(
-                f"a wait of {duration_s} s is impossible", "give a number of seconds, 0 or more"
-            )
+        check_duration(duration_s, "a wait")
         # The tolerance keeps 0.3 s at 300 ticks, although 0.3 / 0.001 is a little more.
         ticks = max(math.ceil(duration_s / TICK_S - 1e-6), 1)
         account, handshake = self._engine.telemetry.account, self._engine.handshake
