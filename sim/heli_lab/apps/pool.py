@@ -289,7 +289,7 @@ class RigPopulation:
 
     @property
     def cautions(self) -> tuple[str, ...]:
-        """What makes the result less reliable, a sentence each."""
+        """Reasons why the result is less reliable, a sentence each."""
         unexplained = [diagnosis.label for diagnosis in self.diagnoses if not diagnosis.is_explained]
         if not unexplained:
             return ()
