@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats
@@ -247,12 +248,14 @@ class LinearisedRig:
         encoder_errors = np.stack([cause.encoder_error_rad for cause in contributions], axis=2)
         # States of the error: angles, rates, gusts and drift; the encoders measure the angles.
         h, output = GRID_S, np.eye(3, 12)
-        gusts = np.array(self._disturbances.gusts_Nm), math.exp(-h / self._disturbances.correlation_time_s)
-        drift = np.array(self._disturbances.slow_std_Nm), math.exp(-h / self._disturbances.drift_s)
+        disturbances = self._disturbances
+        gusts = _GaussMarkov(np.array(disturbances.gusts_Nm), math.exp(-h / disturbances.correlation_time_s))
+        drift = _GaussMarkov(np.array(disturbances.slow_std_Nm), math.exp(-h / disturbances.drift_s))
         process_covariance = np.zeros((12, 12))
         for start, (std_Nm, decay) in ((6, gusts), (9, drift)):
             process_covariance[start : start + 3, start : start + 3] = np.diag(std_Nm**2 * (1.0 - decay**2))
-        covariance = np.diag([_START_RAD**2] * 3 + [_START_RAD_S**2] * 3 + [*gusts[0] ** 2, *drift[0] ** 2])
+        start_variances = [_START_RAD**2] * 3 + [_START_RAD_S**2] * 3
+        covariance = np.diag([*start_variances, *gusts.std_Nm**2, *drift.std_Nm**2])
         error = np.zeros((12, len(contributions)))
         whitened = np.empty((len(torques), 3, len(contributions)))
         for k in range(len(torques)):
@@ -262,7 +265,7 @@ class LinearisedRig:
             gain = np.linalg.solve(innovation_covariance, output @ covariance).T
             error = error - gain @ innovation
             covariance = covariance - gain @ output @ covariance
-            transition, input_matrix = self._discrete_step(k, gusts[1], drift[1])
+            transition, input_matrix = self._discrete_step(k, gusts.decay, drift.decay)
             error = transition @ error + input_matrix @ torques[k]
             covariance = transition @ covariance @ transition.T + process_covariance
             covariance = 0.5 * (covariance + covariance.T)
@@ -284,12 +287,20 @@ class LinearisedRig:
         return transition, np.vstack([by_torque, np.zeros((6, 3))])
 
 
+class _GaussMarkov(NamedTuple):
+    """A disturbance about three axes: its stationary standard deviations, and its decay over a step."""
+
+    std_Nm: Floats
+    decay: float
+
+
 def residual_norm(innovations: Floats, which: int, causes: int) -> float:
-    """Return the norm of a column of innovations after its projection on the others, under their priors.
-    Shapes: `innovations` (rows, columns).
+    """Return the norm of a column of innovations that the other columns leave, each with a normal prior of
+    its coefficient (ridge regression). Shapes: `innovations` (rows, columns), first those of all `causes`.
     """
     column = innovations[:, which]
     others = np.delete(innovations, which, axis=1)
+    # In units of the standard deviations of the priors.
     others[:, : causes - 1] *= _OTHER_CAUSE
     gram = others.T @ others + np.eye(others.shape[1])
     correlation = others.T @ column

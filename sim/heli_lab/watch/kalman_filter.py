@@ -15,7 +15,7 @@ s+ = F s + Gamma df/dv.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -58,6 +58,14 @@ _RATES: Final = slice(3, 6)
 """
 
 
+class _ScaleError(NamedTuple):
+    """An unknown encoder scale, as one of the unknown errors."""
+
+    error_index: int
+    axis: int
+    std: float  # Standard deviation of the scale
+
+
 class KalmanFilter:
     """Extended Kalman filter of one free flight."""
 
@@ -80,13 +88,13 @@ class KalmanFilter:
         # Amount of each free parameter, and of the supply, per standard deviation of each unknown error,
         # (free parameters + 1, errors). After a change, the possible changes are unknown errors too.
         self._directions: Floats = twin.directions
-        # For each unknown encoder scale: its index among the errors, its axis and standard deviation.
-        self._scale_errors: list[tuple[int, int, float]] = []
+        self._scale_errors: list[_ScaleError] = []
         if is_changed:
             first_change = twin.directions.shape[1]
             self._directions = np.hstack((twin.directions, twin.prior_changes))
             self._scale_errors = [
-                (first_change + column, axis, twin.prior_sizes[column]) for column, axis in twin.scales
+                _ScaleError(first_change + column, axis, twin.prior_sizes[column])
+                for column, axis in twin.scales
             ]
         self.differences_rad, self.stds_rad = np.zeros(3), np.ones(3)
         self.left_out: int | None = None
@@ -262,8 +270,8 @@ class KalmanFilter:
         direct = np.zeros((3, self.twin.weights.shape[0]))
         direct[:, :-1] = by_parameter[0]
         by_error = direct @ self._directions
-        for index, axis, std in self._scale_errors:
-            by_error[axis, index] += std * (self.mean[axis] - self._start_rad[axis])
+        for error_index, axis, std in self._scale_errors:
+            by_error[axis, error_index] += std * (self.mean[axis] - self._start_rad[axis])
         output_matrix = np.zeros((3, self._order))
         output_matrix[:, : self._nx] = by_state[0]
         output_matrix[: len(ZEROS), self._zeros] = np.eye(len(ZEROS))

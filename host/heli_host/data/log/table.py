@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -272,26 +272,26 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
         try:
             return _parse_columns(lines.body, len(lines.names), keep), names
         except ValueError as error:
-            row, column, text = _find_bad_cell(lines, keep)
-            if row < 0:
+            bad = _find_bad_cell(lines, keep)
+            if bad is None:
                 raise FlightDataError(f"{path}: {error}", "correct the table") from error
-            if column >= 0 and lines.names[column] not in OWN_COLUMNS:
-                keep.remove(column)
-                continue
-            if column < 0:
+            line = lines.where(bad.row)
+            if bad.column is None:
                 raise FlightDataError(
-                    f"{path}: {lines.where(row)} has {text} columns, the header {len(lines.names)}",
+                    f"{path}: {line} has {bad.text} columns, the header {len(lines.names)}",
                     "complete or remove that line",
                 ) from error
-            if text == lines.names[column]:
+            name = lines.names[bad.column]
+            if name not in OWN_COLUMNS:
+                keep.remove(bad.column)
+                continue
+            if bad.text == name:
                 raise FlightDataError(
-                    f"{path} holds two tables that were joined: {lines.where(row)} repeats the names of the "
-                    "columns",
+                    f"{path} holds two tables that were joined: {line} repeats the names of the columns",
                     "give each table as a file of its own",
                 ) from error
             raise FlightDataError(
-                f"{path}: {lines.names[column]} is {text!r} in {lines.where(row)}, not a number",
-                "correct or remove that line",
+                f"{path}: {name} is {bad.text!r} in {line}, not a number", "correct or remove that line"
             ) from error
 
 
@@ -306,19 +306,26 @@ def _parse_columns(body: bytes, width: int, keep: list[int]) -> NDArray[np.float
     return np.asarray(table, np.float64)
 
 
-def _find_bad_cell(lines: _Lines, keep: list[int]) -> tuple[int, int, str]:
-    """Return row, column and text of the first cell that is not a number."""
-    # Column -1 means that the row has a wrong number of cells; the text is then this number.
+class _BadCell(NamedTuple):
+    """A cell that is not a number, or a row with a wrong number of cells."""
+
+    row: int
+    column: int | None  # None for such a row
+    text: str  # Text of the cell, or the number of cells of the row
+
+
+def _find_bad_cell(lines: _Lines, keep: list[int]) -> _BadCell | None:
+    """Find the first bad cell of a table in the columns `keep`."""
     for row, line_bytes in enumerate(lines.body.split(b"\n")):
         if not line_bytes.strip():
             continue
         if line_bytes.count(b",") + 1 != len(lines.names):
-            return row, -1, str(line_bytes.count(b",") + 1)
+            return _BadCell(row, None, str(line_bytes.count(b",") + 1))
         cells = line_bytes.decode("latin-1").split(",")
         for column in keep:
             if not _is_number(cells[column]):
-                return row, column, cells[column].strip()[:40]
-    return -1, -1, ""
+                return _BadCell(row, column, cells[column].strip()[:40])
+    return None
 
 
 def _flight_of_columns(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> Flight:
