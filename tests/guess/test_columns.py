@@ -163,6 +163,14 @@ def test_whole_numbers_of_an_encoder_that_is_not_the_rigs_are_doubted(
 
 
 @pytest.mark.medium
+def test_the_name_of_a_matrix_with_a_word_of_time_hides_no_column() -> None:
+    table = flight_table()
+    matrix = Table("x.mat", {f"date_time[{i}]": column for i, column in enumerate(table.columns.values(), 1)})
+    columns = columns_of(proposed(matrix))
+    assert [columns[axis] for axis in AXES] == ["date_time[2]", "date_time[3]", "date_time[4]"]
+
+
+@pytest.mark.medium
 def test_a_column_that_states_a_voltage_is_the_motors() -> None:
     table = flight_table()
     forces = {name: Column(2.0 * table.columns[name].values ** 2) for name in PAIR}

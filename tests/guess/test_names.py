@@ -99,6 +99,13 @@ def test_a_word_that_all_angles_share_states_none_of_them() -> None:
     assert meanings["theta_e_ref"].quantity == "a setpoint"
 
 
+def test_a_roll_is_the_pitch_of_the_rig_also_next_to_an_elevation() -> None:
+    for names in (("pitch", "roll", "yaw"), ("Elevation", "Roll", "Azimuth")):
+        meanings = meanings_of(dict.fromkeys(names, ""))
+        assert [meanings[name].role for name in names] == ["elevation", "pitch", "travel"]
+    assert meanings_of(dict.fromkeys(("elevation", "pitch", "roll"), ""))["roll"].role == ""
+
+
 def test_a_state_before_the_role_is_part_of_a_message_and_behind_it_a_mode() -> None:
     meanings = meanings_of(dict.fromkeys(("/heli/state/pitch", "pitch_state", "/heli/cmd/voltage_front"), ""))
     assert [meaning.role for meaning in meanings.values()] == ["pitch", "pitch", "front"]

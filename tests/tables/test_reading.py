@@ -296,6 +296,8 @@ def test_one_value_per_row_with_the_name_of_its_signal(
     table = read_table(path)
     assert_same_columns(table)
     assert table.columns["x"].t_s == pytest.approx(T_S)
+    path.write_text("\n".join([header, *body[::-1]]))
+    assert_same_columns(read_table(path))
 
 
 @pytest.mark.parametrize("form", ["({})", "{}-"])
@@ -407,9 +409,9 @@ def test_labels_with_accents_in_a_matlab_file_of_python(tmp_path: Path) -> None:
     from scipy.io import savemat
 
     path = tmp_path / "a.mat"
-    signals = [{"values": v[:, None], "label": name} for name, v in (("Winkel°", X), ("Nick", Y))]
+    signals = [{"values": v[:, None], "label": name} for name, v in (("Winkel°", X), ("Elevação/deg", Y))]
     savemat(path, {"scope": {"time": T_S[:, None], "signals": signals}})
-    assert_same_columns(read_table(path), "Winkel°", "Nick")
+    assert_same_columns(read_table(path), "Winkel°", "Elevação/deg")
 
 
 CLOCKS = [

@@ -26,6 +26,8 @@ _DATA: Final = ("signals", "Data", "Data_", "data", "values", "Values", "Storage
 
 _OCTAVE: Final = b"# Created by Octave"
 """Beginning of a file that Octave saved as text, which is its default."""
+_SCIPY: Final = b"MATLAB 5.0 MAT-file Platform:"
+"""Beginning of a file that scipy wrote; MATLAB has a comma before the platform."""
 
 
 def is_octave_text(path: Path) -> bool:
@@ -90,7 +92,7 @@ def _with_one_time(columns: dict[str, Column]) -> dict[str, Column]:
 
 
 def _loaded(path: Path) -> Mapping[str, Any]:
-    """Load all variables; texts with accents that scipy wrote are read by scipy, because mat-io cannot."""
+    """Load all variables; scipy reads what scipy wrote, because mat-io cuts its texts with accents short."""
     if path.suffix.lower() == ".npy":
         return {"data": np.load(path, allow_pickle=False)}
     if path.suffix.lower() == ".npz":
@@ -98,14 +100,17 @@ def _loaded(path: Path) -> Mapping[str, Any]:
             return dict(arrays)
     if is_octave_text(path):
         return _octave_variables(path.read_text(encoding="utf-8", errors="replace"))
-    import matio
-
-    try:
-        content: Mapping[str, Any] = matio.load_from_mat(str(path))
-    except UnicodeDecodeError:
+    with path.open("rb") as file:
+        is_of_scipy = file.read(len(_SCIPY)) == _SCIPY
+    content: Mapping[str, Any]
+    if is_of_scipy:
         from scipy.io import loadmat
 
         content = loadmat(path)
+    else:
+        import matio
+
+        content = matio.load_from_mat(str(path))
     return content
 
 

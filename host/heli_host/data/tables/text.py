@@ -584,7 +584,12 @@ def _signals_by_name(labels: pandas.Series, columns: dict[str, Column]) -> dict[
     Such a table has three columns: a time, the name of a signal, and its value.
     """
     falls = {name: float(np.mean(np.diff(column.values) < 0.0)) for name, column in columns.items()}
-    clock = columns[min(falls, key=lambda name: falls[name])]
+    # The newest row may come first: then the times fall.
+    turns = {
+        name: (column.unit not in TIME_UNITS, min(falls[name], 1.0 - falls[name]))
+        for name, column in columns.items()
+    }
+    clock = columns[min(turns, key=lambda name: turns[name])]
     (value,) = (column for column in columns.values() if column is not clock)
     counts = labels.value_counts()
     counts = counts[counts > _MIN_SIGNAL_ROWS]

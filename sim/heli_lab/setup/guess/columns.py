@@ -39,6 +39,7 @@ from heli_lab.setup.guess.names import (
     VOLTAGE_ROLES,
     ColumnMeaning,
     direction_columns,
+    is_element,
     is_time,
     meaning_of,
     meanings_of,
@@ -122,7 +123,7 @@ class PreparedFile:
     @property
     def too_sparse(self) -> list[str]:
         """Columns with too few numbers for a signal."""
-        columns = [name for name in self.table.columns if name != self.clock.column and not is_time(name)]
+        columns = _without_times(self.table, self.clock.column)
         return [name for name in columns if name not in self.signals.raw]
 
 
@@ -147,11 +148,18 @@ def prepare_file(
     begins = bool(t_s[0] == first_s)
     driven, by_hand_s = _driven_rows(table, t_s)
     table, t_s = table.selected(driven, ()), t_s[driven]
-    others = [name for name in table.columns if name != clock.column and not is_time(name)]
+    others = _without_times(table, clock.column)
     table = without_spikes(table, others)
     signals = column_signals(table, t_s, others, reference.counts.values())
     encoders = frozenset(name for name in others if _is_encoder(table.columns[name].values, reference))
     return PreparedFile(table, clock, signals, encoders, begins, uncertain_s, by_hand_s)
+
+
+def _without_times(table: Table, clock: str) -> list[str]:
+    """Return the columns that are not the `clock` and have no name of a time. The name of a matrix, such as
+    ``time_and_angles[2]``, says nothing about its columns.
+    """
+    return [name for name in table.columns if name != clock and (not is_time(name) or is_element(name))]
 
 
 def _driven_rows(table: Table, t_s: Floats) -> tuple[Integers, tuple[float, float] | None]:

@@ -349,11 +349,11 @@ def _with_rolls(meanings: Mapping[str, ColumnMeaning]) -> dict[str, ColumnMeanin
     """
     rolls = {name for name in meanings if _ROLLS.intersection(words_of(name))}
     stated = {meaning.role for meaning in meanings.values()}
-    if not rolls or "elevation" in stated:
+    if not rolls or {"elevation", "pitch"} <= stated:
         return dict(meanings)
     result = {}
     for name, meaning in meanings.items():
-        role = "elevation" if meaning.role == "pitch" else meaning.role
+        role = "elevation" if meaning.role == "pitch" and "elevation" not in stated else meaning.role
         role = "pitch" if name in rolls else role
         possible = (role,) if role and not meaning.quantity else meaning.possible_roles
         result[name] = replace(meaning, role=role, possible_roles=possible)
@@ -529,6 +529,12 @@ def unknown_unit_of(name: str) -> str:
 def is_half(name: str) -> bool:
     """Whether a `name` means half of the sum, or half of the difference, of two voltages."""
     return bool(_HALVES.intersection(words_of(name)))
+
+
+def is_element(name: str) -> bool:
+    """Whether a `name` is that of a column of a matrix, as in ``data[2]``; the first one may be the time."""
+    match = _ELEMENT.search(name)
+    return match is not None and match.group() not in ("[1]", "(1)")
 
 
 def is_time(name: str) -> bool:
