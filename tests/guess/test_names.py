@@ -44,6 +44,7 @@ from heli_lab.setup.guess.names import (
         ("V_f", "front", ""),
         ("V_r", "back", ""),
         ("pwmR", "", ""),
+        ("PWM_R (0..4095)", "", ""),
         ("motor_left", "", ""),
         ("u_front_r", "front", "a setpoint"),
         ("heli3d/pitch", "pitch", ""),

@@ -108,6 +108,9 @@ LINES = {
         repr({"timestamp": round(t, 3), "x": x, "n": None, "y": float(y)})
         for t, x, y in zip(T_S, X, Y, strict=True)
     ],
+    "counter with a sign": [
+        f"#:{i},x:{x},y:{y},timestamp:{t}" for i, (t, x, y) in enumerate(zip(T_S, X, Y, strict=True))
+    ],
     "JSON": [f'{{"timestamp": {t:.3f}, "x": {x}, "y": {y}}}' for t, x, y in zip(T_S, X, Y, strict=True)],
 }
 

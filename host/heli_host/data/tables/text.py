@@ -153,6 +153,8 @@ def read_text(path: Path) -> Table:
         for line in lines
         if line.strip() and not line.strip().startswith(_COMMENTS) and not _RULE.match(line)
     ]
+    # A name may begin like a comment, as that of a counter in `#:12, pitch:1.5`.
+    body = body or [line for line in lines if any(char.isdigit() for char in line)]
     if not body:
         raise FlightDataError(f"{path}: the file is empty", "record a flight into it first")
     body = _without_names_in_rows(_without_kinds(path, _without_checksums(body), notes.splitlines()))

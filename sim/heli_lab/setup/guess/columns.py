@@ -825,7 +825,7 @@ def check_voltages(
     columns = " and ".join(best.voltages)
     if followed:
         reason = f"{' and '.join(followed)}, as an axis follows its setpoint"
-    elif nats < DECISIVE_NATS:
+    elif nats < DECISIVE_NATS and not _names_state_voltages(best, files[0].table):
         reason = f"{columns} explain only {nats:.1f} nats"
     else:
         return _doubtful_sum(regressions["elevation"], best, options)

@@ -487,7 +487,8 @@ def _stated_quantity(words: list[str], role: str) -> str:
     if role in PAIR and words[0] == "f" and any(len(word) > 2 and word in _WORDS[role] for word in words):
         return "a force"
     is_voltage = bool(_VOLTAGES.intersection(words)) and role not in AXES
-    names_side = is_voltage and all(word in _VOLTAGES | _SIDES or word in _WORDS["back"] for word in words)
+    named = [word for word in words if not word.isdigit()]
+    names_side = is_voltage and all(word in _VOLTAGES | _SIDES or word in _WORDS["back"] for word in named)
     for quantity, known in _OTHER_QUANTITIES.items():
         stating = {word for word in words if word in known and (role or word not in _LETTERS)}
         if role in VOLTAGE_ROLES:

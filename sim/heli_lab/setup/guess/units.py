@@ -435,12 +435,14 @@ def _whole_numbers(best: Scale, motion: MeasuredMotion) -> list[Ambiguity]:
 
 
 def _doubtful_counts(best: Scale, reference: Reference, rig: Rig, subjects: set[str]) -> list[Ambiguity]:
-    """Report the counts per turn of all angles if the motion contradicts the scale of one, or elevation may
-    have half or twice of them: a program that counts other edges does so on each encoder.
+    """Report the counts per turn of all angles if the motion contradicts the scale of one or does not show
+    it, or elevation may have half or twice of them: a program that counts other edges does so everywhere.
     """
     counted = [axis for axis, unit in best.angles.items() if unit == COUNT]
     deviation_std = abs((best.deviation_std or {}).get("elevation", 0.0))
-    is_contradicted = any({f"{axis}'s unit", f"the scale of {axis}"} & subjects for axis in counted)
+    # Voltages in an unknown unit show no gain, and so no scale.
+    is_contradicted = "the voltages' unit" in subjects
+    is_contradicted |= any({f"{axis}'s unit", f"the scale of {axis}"} & subjects for axis in counted)
     if len(counted) < 2 or not (is_contradicted or deviation_std > _DOUBTFUL_COUNTS_STD):
         return []
     return [
@@ -448,8 +450,8 @@ def _doubtful_counts(best: Scale, reference: Reference, rig: Rig, subjects: set[
             "the scale of the encoders",
             ", ".join(f"{axis} {reference.counts[axis]:g}" for axis in counted),
             "half, twice or four times as many",
-            f"these are those of rig {rig.name}, and the motion fits others as well or better; turn an axis "
-            "by a known angle",
+            f"these are those of rig {rig.name}, and the motion may fit others as well; turn an axis by a "
+            "known angle",
         )
     ]
 
