@@ -88,12 +88,7 @@ def camel(name: str) -> str:
 
 def full_fields(message: Table) -> list[Table]:
     """Return the fields on the wire; in commands and replies, the request number comes first."""
-    request = {
-        "name": "request",
-        "type": "u8",
-        "unit": "",
-        "meaning": "request number; a retry repeats it",
-    }
+    request = {"name": "request", "type": "u8", "unit": "", "meaning": "request number; a retry repeats it"}
     fields: list[Table] = message["fields"]
     return ([request] if message["kind"] in ("command", "reply") else []) + fields
 

@@ -26,11 +26,7 @@ project.Replace(
     CXXFLAGS=[],
     CPPDEFINES=[],
     # The first wiring.hpp is taken: of HELI_WIRING, if build.py has made one from another pins.toml.
-    CPPPATH=[
-        *filter(None, [os.environ.get("HELI_WIRING")]),
-        str(FIRMWARE / "core"),
-        str(FIRMWARE / "due"),
-    ],
+    CPPPATH=[*filter(None, [os.environ.get("HELI_WIRING")]), str(FIRMWARE / "core"), str(FIRMWARE / "due")],
 )
 build.Replace(
     # The g++ driver would ask for libstdc++, which nothing here needs.

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 DEFAULT_MODEL = "multibody"
 
 FlightsArgument = Annotated[
-    list[Path],
-    typer.Argument(metavar="FLIGHT...", help="Fit the model to these: .mcap, .csv or .csv.gz."),
+    list[Path], typer.Argument(metavar="FLIGHT...", help="Fit the model to these: .mcap, .csv or .csv.gz.")
 ]
 ValidateOption = Annotated[
     list[Path] | None,

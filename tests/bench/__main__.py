@@ -111,13 +111,7 @@ PARTS = (
         measure_web_diagnosis,
         web_compiler,
     ),
-    Part(
-        "due",
-        "counting instructions of the Due's firmware",
-        40,
-        lambda _: measure_due(),
-        cross_compiler,
-    ),
+    Part("due", "counting instructions of the Due's firmware", 40, lambda _: measure_due(), cross_compiler),
     Part(
         "plant",
         "stepping and linearising the rig, against MuJoCo",
@@ -134,10 +128,7 @@ PARTS = (
     Part("diagnosis", "diagnosing, against an earlier commit", 630, diagnosis_ratios),
     Part("memory", "diagnosing ten minutes of flight", 120, lambda _: [diagnosis_peak()]),
     Part(
-        "many-flights",
-        "diagnosing ten flights of a rig, and a hundred",
-        60,
-        lambda _: measure_many_flights(),
+        "many-flights", "diagnosing ten flights of a rig, and a hundred", 60, lambda _: measure_many_flights()
     ),
     Part("identification", "identifying fifty simulated rigs", 300, measure_identification),
 )

@@ -395,9 +395,7 @@ def test_fly_warns_of_another_supply_and_flies(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "words",
-    ["fly short.toml", "setpoint --take-off --travel-deg 5"],
-    ids=["fly", "setpoint"],
+    "words", ["fly short.toml", "setpoint --take-off --travel-deg 5"], ids=["fly", "setpoint"]
 )
 def test_on_a_port_a_wrong_scale_is_refused_with_the_command(
     terminal: Terminal, tmp_path: Path, words: str
@@ -413,10 +411,7 @@ def test_on_a_port_a_wrong_scale_is_refused_with_the_command(
 @pytest.mark.medium
 def test_a_page_refuses_a_wrong_scale_before_it_is_served(tmp_path: Path) -> None:
     write_mine(tmp_path)
-    with (
-        SilProcess() as sil,
-        process(tmp_path, "dashboard", "--port", sil.url, "--rig", "mine.toml") as page,
-    ):
+    with SilProcess() as sil, process(tmp_path, "dashboard", "--port", sil.url, "--rig", "mine.toml") as page:
         # Without the refusal it serves until Ctrl-C.
         _, err = page.communicate(timeout=PATIENCE_S)
     assert page.returncode == 2

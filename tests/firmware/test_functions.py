@@ -12,14 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from heli_host.board.heli import Heli
-from heli_host.declaration import (
-    Fault,
-    MessageId,
-    Param,
-    ParamSetMessage,
-    ParamsSaveMessage,
-    ParamsSource,
-)
+from heli_host.declaration import Fault, MessageId, Param, ParamSetMessage, ParamsSaveMessage, ParamsSource
 from heli_host.link.frames import encode_frame
 from heli_host.link.session import Session
 from hypothesis import given

@@ -116,8 +116,7 @@ def test_the_watchdog_leaves_a_normal_flight_alone_with_three_times_to_spare(elf
 
 
 @pytest.mark.parametrize(
-    ("instruction", "fault"),
-    [(UNDEFINED, Fault.HARD_FAULT), (SUPERVISOR_CALL, Fault.UNEXPECTED_INTERRUPT)],
+    ("instruction", "fault"), [(UNDEFINED, Fault.HARD_FAULT), (SUPERVISOR_CALL, Fault.UNEXPECTED_INTERRUPT)]
 )
 @pytest.mark.parametrize("where", [TICK, POLL])
 def test_a_fault_switches_off_at_once_and_the_host_is_informed(

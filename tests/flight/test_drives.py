@@ -21,12 +21,7 @@ from tests.flight.harness import (
     WITHOUT_TRAVEL,
     Harness,
 )
-from tests.flight.test_tracking import (
-    COUNT_DEG,
-    board_in_level_flight,
-    hover,
-    tripped,
-)
+from tests.flight.test_tracking import COUNT_DEG, board_in_level_flight, hover, tripped
 
 HOVER_V, DEAD_V, MOTION_V = (
     next(spec.default for spec in d.PARAMS if spec.name == name)

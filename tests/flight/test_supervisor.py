@@ -711,9 +711,7 @@ def test_a_landing_that_is_asked_for_again_and_again_ends_as_soon() -> None:
     assert len(ended_ticks) == 2 and abs(ended_ticks[1] - ended_ticks[0]) <= 5
 
 
-def test_a_landing_that_is_asked_for_once_more_does_not_erase_why_the_board_lands(
-    harness: Harness,
-) -> None:
+def test_a_landing_that_is_asked_for_once_more_does_not_erase_why_the_board_lands(harness: Harness) -> None:
     land_without_travel(harness)
     assert harness.ask(d.LandMessage(0)).result == Result.OK
     harness.tick(40)

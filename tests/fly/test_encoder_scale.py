@@ -25,13 +25,7 @@ from heli_lab.watch.encoder_scale import (
     warning_text,
     wrong_scale,
 )
-from heli_lab.watch.weak_form import (
-    SCALES_AND_FACTOR,
-    VOLTAGE_FACTOR,
-    FlightInWeakForm,
-    Part,
-    TestFunctions,
-)
+from heli_lab.watch.weak_form import SCALES_AND_FACTOR, VOLTAGE_FACTOR, FlightInWeakForm, Part, TestFunctions
 from heli_sim.model import MultibodyModel
 from heli_sim.rig import load_rig
 

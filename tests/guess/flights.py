@@ -183,11 +183,7 @@ def _controller(
         high = 0.12 * steps[int(t_s / every_s), 0]
         integral = float(np.clip(integral + CONTROL_s * (high - angle[0]), -0.4, 0.4))
         wanted = 1.6 * (high - angle[0]) + 0.4 * integral - 2.2 * rate[0]
-        return (
-            hover_V + wanted / gain["elevation"],
-            turn(pitch, angle, rate),
-            np.array([high, pitch, aim]),
-        )
+        return (hover_V + wanted / gain["elevation"], turn(pitch, angle, rate), np.array([high, pitch, aim]))
 
     def manual(t_s: float, angle: Floats, rate: Floats) -> tuple[float, float, Floats]:
         level, tilt, _ = steps[int(t_s / every_s)]

@@ -41,8 +41,7 @@ def test_nothing_wrong_is_sure(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "late_s", "is_doubted"),
-    [(0, 0.0, False), (0, 0.1, True), (1, 0.1, True)],
+    ("number", "late_s", "is_doubted"), [(0, 0.0, False), (0, 0.1, True), (1, 0.1, True)]
 )
 def test_late_voltages_are_doubted_and_rotors_without_a_lag_are_not(
     number: int, late_s: float, is_doubted: bool, tmp_path: Path

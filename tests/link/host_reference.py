@@ -104,10 +104,7 @@ def smallest_code(deltas: list[int]) -> int:
 
 
 def telemetry_payload(
-    first_tick: int,
-    samples: list[list[int]],
-    codes: list[int] | None = None,
-    types: list[str] = TYPES,
+    first_tick: int, samples: list[list[int]], codes: list[int] | None = None, types: list[str] = TYPES
 ) -> bytes:
     """Pack samples (a row a tick, one number a channel) into one telemetry payload, as narrow as they go."""
     count = len(samples)

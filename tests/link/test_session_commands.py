@@ -40,14 +40,7 @@ from heli_host.link.session import Session
 from heli_host.link.telemetry import Ticks
 
 from tests.channels.groups import SIGNED
-from tests.link.fake_board import (
-    BATCH_TICKS,
-    ILLEGAL_TRAVEL,
-    FakeBoard,
-    FakeLine,
-    ticks_of_received,
-    truth,
-)
+from tests.link.fake_board import BATCH_TICKS, ILLEGAL_TRAVEL, FakeBoard, FakeLine, ticks_of_received, truth
 from tests.running.long import samples
 
 

@@ -149,11 +149,7 @@ def test_a_client_whose_frames_cannot_be_sent_is_disconnected_and_the_others_go_
             raise ValueError("a defect")
         return pack(*arguments)
 
-    with (
-        pilot_page(served) as first,
-        SocketPage(served.address) as second,
-        log_lines() as lines,
-    ):
+    with pilot_page(served) as first, SocketPage(served.address) as second, log_lines() as lines:
         monkeypatch.setattr(clients, "pack", fails_once)
         first.until(lambda: first.socket.close_code is not None or second.socket.close_code is not None)
         gone, other = (first, second) if first.socket.close_code is not None else (second, first)
@@ -265,13 +261,7 @@ PATHS = st.one_of(
     upgrade=st.booleans(),
 )
 def test_no_request_of_anybody_is_an_internal_error(
-    replayed: Address,
-    path: str,
-    token: str,
-    host: str | None,
-    origin: str | None,
-    method: str,
-    upgrade: bool,
+    replayed: Address, path: str, token: str, host: str | None, origin: str | None, method: str, upgrade: bool
 ) -> None:
     good = f"127.0.0.1:{replayed.port}"
     headers = [("Host", good if host is None else host)]

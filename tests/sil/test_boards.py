@@ -44,9 +44,7 @@ from heli_sim.sil.world import saved
 from tests.running.long import samples
 from tests.sil.harness import Host, due_of, world, world_of
 
-__all__ = [
-    "build",
-]
+__all__ = ["build"]
 
 
 Board = dict[str, str]
@@ -449,11 +447,7 @@ def test_the_command_line_warns_at_connect(flash: Path, capsys: pytest.CaptureFi
 
 
 BOARDS = ["native", pytest.param("due", marks=pytest.mark.emulated)]
-COARSE = {
-    "encoder_counts_elevation": 2000.0,
-    "encoder_counts_pitch": 2000.0,
-    "encoder_counts_travel": 3000.0,
-}
+COARSE = {"encoder_counts_elevation": 2000.0, "encoder_counts_pitch": 2000.0, "encoder_counts_travel": 3000.0}
 """An encoder of 500 lines on elevation and pitch, and one of 750 on travel."""
 
 

@@ -79,10 +79,7 @@ LINES = {
         "I (29) boot: ready",
         *(f"I ({t:.3f}) heli: n={t} x={x} y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),
     ],
-    "brackets": [
-        "[10:58:59.900] x,y",
-        *(f"[{s}] {x},{y}" for s, x, y in zip(STAMPS, X, Y, strict=True)),
-    ],
+    "brackets": ["[10:58:59.900] x,y", *(f"[{s}] {x},{y}" for s, x, y in zip(STAMPS, X, Y, strict=True))],
     "time without a name": [
         "configsip: 0, SPIWP:0xee",
         *(f"{t:.3f};n={t};x={x};y={y}" for t, x, y in zip(T_S, X, Y, strict=True)),

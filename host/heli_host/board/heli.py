@@ -440,9 +440,7 @@ class Heli:
         self.flying.stop()
 
     def bring_down(
-        self,
-        on_landing: Callable[[], object] | None = None,
-        on_wait: Callable[[], object] | None = None,
+        self, on_landing: Callable[[], object] | None = None, on_wait: Callable[[], object] | None = None
     ) -> str:
         """Bring the arm onto the table from any state, and wait until the board reports that the motors are
         off.
@@ -568,13 +566,7 @@ class Heli:
             If a value is out of range, or the motors are off.
         """
         self.bench.excite(
-            kind,
-            front_V,
-            back_V,
-            start_Hz=start_Hz,
-            stop_Hz=stop_Hz,
-            duration_s=duration_s,
-            seed=seed,
+            kind, front_V, back_V, start_Hz=start_Hz, stop_Hz=stop_Hz, duration_s=duration_s, seed=seed
         )
 
     def excite_stop(self) -> None:
@@ -737,11 +729,7 @@ class Heli:
         return set_parameter(self.session, program_of(law), name, value)
 
     def fly(
-        self,
-        plans: AnyPlan | Sequence[AnyPlan],
-        log: str | Path | None = None,
-        *,
-        overwrite: bool = False,
+        self, plans: AnyPlan | Sequence[AnyPlan], log: str | Path | None = None, *, overwrite: bool = False
     ) -> FlightSummary:
         """Take off, fly plans one after the other, land; `heli_host.fly.runner.fly` has more options.
 

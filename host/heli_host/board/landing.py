@@ -73,9 +73,7 @@ class Landing:
             raise FlightAborted(trouble)
 
     def bring_down(
-        self,
-        on_landing: Callable[[], object] | None = None,
-        on_wait: Callable[[], object] | None = None,
+        self, on_landing: Callable[[], object] | None = None, on_wait: Callable[[], object] | None = None
     ) -> str:
         """Bring the arm onto the table from any state, and return what went wrong; empty for nothing."""
         restarts = self._session.counters.restarts

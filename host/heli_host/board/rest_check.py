@@ -100,10 +100,7 @@ class RestAngles:
             return None
         if self._is_held(float(np.degrees(samples.pitch_rad[0])), pitch_deg):
             pitch_deg = self.pitch_deg
-        compared = {
-            "elevation": (self.elevation_deg, elevation_deg),
-            "pitch": (self.pitch_deg, pitch_deg),
-        }
+        compared = {"elevation": (self.elevation_deg, elevation_deg), "pitch": (self.pitch_deg, pitch_deg)}
         shifted = {
             axis: f"{axis} at rest was {before_deg:.1f} degrees before the take-off and is {after_deg:.1f} "
             f"after the landing, a difference of {after_deg - before_deg:.1f}"

@@ -423,8 +423,7 @@ def check_flight(
     """Refuse a flight that no analysis could trust."""
     if len(flight) < MIN_ROWS:
         raise FlightDataError(
-            f"{source}: t_s has only {len(flight)} rows",
-            f"record a flight of at least {MIN_ROWS} rows",
+            f"{source}: t_s has only {len(flight)} rows", f"record a flight of at least {MIN_ROWS} rows"
         )
     for name, column in flight.columns().items():
         if name in flight.extra or column.dtype.kind != "f":

@@ -254,8 +254,7 @@ class RouteStream:
         self._phases_ahead = _first_piece_of_phases(route)
         # The take-off lasts until the first phase of another name begins.
         take_off_s = next(
-            (piece.start_s for piece in self._phases_ahead if piece.phase != TAKE_OFF),
-            route.duration_s,
+            (piece.start_s for piece in self._phases_ahead if piece.phase != TAKE_OFF), route.duration_s
         )
         self._take_off_ticks = round(take_off_s / TICK_S)
 

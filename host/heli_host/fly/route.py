@@ -416,11 +416,7 @@ def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         # A ramp to the present setpoint still takes a tick, so that its rate is finite.
         duration_s = max(duration_s, TICK_S)
         return _motion_within(
-            duration_s,
-            ramp(at, target_deg, duration_s),
-            at,
-            target_deg,
-            rate_deg_s=distance_deg / duration_s,
+            duration_s, ramp(at, target_deg, duration_s), at, target_deg, rate_deg_s=distance_deg / duration_s
         )
 
     rate_key = "duration_s" if stated_duration_s is not None else "rate_deg_s"

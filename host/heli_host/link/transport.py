@@ -213,11 +213,7 @@ def stable_name(device: str) -> str:
 
 
 def open_transport(
-    url: str,
-    *,
-    baud: int = BAUD,
-    reset_board: bool = False,
-    min_read_interval_s: float = READ_INTERVAL_S,
+    url: str, *, baud: int = BAUD, reset_board: bool = False, min_read_interval_s: float = READ_INTERVAL_S
 ) -> Transport:
     """Open the board that a URL names."""
     if baud == _ERASING_BAUD:

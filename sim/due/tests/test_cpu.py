@@ -93,10 +93,7 @@ SCENARIOS = {
             0x7E,
         ],
     ),
-    "thread_on_the_process_stack": (
-        3,
-        [0x5C, SVC, TO_PROCESS, 0x2007_5000 - 0x20, 0x5E, 0x2007_5000],
-    ),
+    "thread_on_the_process_stack": (3, [0x5C, SVC, TO_PROCESS, 0x2007_5000 - 0x20, 0x5E, 0x2007_5000]),
     "undefined_instruction_is_a_usage_fault": (4, [0x6F, USAGE, TO_THREAD, UNDEFINED, 0x7E]),
     "a_disabled_usage_fault_becomes_a_hard_fault": (5, [0xF0, HARD, TO_THREAD, FORCED, 0x7E]),
     "floating_point_is_a_fault": (6, [0x6F, USAGE, TO_THREAD, NOCP, 0x7E]),
@@ -107,10 +104,7 @@ SCENARIOS = {
         10,
         [0xBF, BUS, TO_THREAD, 1 << 9 | 1 << 15, 0x9000_0000, 0x7E],
     ),
-    "an_impossible_return_is_a_usage_fault": (
-        11,
-        [0x5C, SVC, TO_THREAD, 0x6F, USAGE, 0xFFFF_FFF4, INVPC],
-    ),
+    "an_impossible_return_is_a_usage_fault": (11, [0x5C, SVC, TO_THREAD, 0x6F, USAGE, 0xFFFF_FFF4, INVPC]),
     "primask_holds_back": (12, [0xA1, 0x10, IRQ0, TO_THREAD, 0x1E, 0xA2]),
     "wfi_ends_on_a_masked_interrupt": (13, [0xA1, 0x57, SYSTICK, TO_THREAD, 0xA2]),
     "breakpoint_without_debugger_is_a_hard_fault": (14, [0xF0, HARD, TO_THREAD, DEBUG, 0x7E]),

@@ -145,10 +145,7 @@ def test_interrupt_line_follows_status_and_mask() -> None:
 
 @pytest.mark.parametrize(
     ("register", "value", "message"),
-    [
-        ("UART.MR", 1 << 14 | NO_PARITY, "channel mode"),
-        ("UART.RHR", 1, "read-only"),
-    ],
+    [("UART.MR", 1 << 14 | NO_PARITY, "channel mode"), ("UART.RHR", 1, "read-only")],
 )
 def test_what_is_not_modelled_or_wrong_is_refused(register: str, value: int, message: str) -> None:
     with pytest.raises(Stop, match=message):

@@ -530,10 +530,7 @@ class EquationEffect(Effect):
 
 
 def equation_effect(
-    equation: Equation,
-    prior_std: Mapping[str, float],
-    held: Collection[str] = (),
-    name: str = NAME,
+    equation: Equation, prior_std: Mapping[str, float], held: Collection[str] = (), name: str = NAME
 ) -> EquationEffect:
     """Make the effect of an equation with all coefficients at 0."""
     prefix = name.replace(".", "_")

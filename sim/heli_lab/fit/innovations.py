@@ -536,9 +536,7 @@ class AuxiliaryResiduals:
 
 
 def auxiliary_residuals(
-    filtered: InnovationsModel,
-    disturbances: DisturbanceModel,
-    errors: FlightErrors | None = None,
+    filtered: InnovationsModel, disturbances: DisturbanceModel, errors: FlightErrors | None = None
 ) -> list[AuxiliaryResiduals]:
     """Test a shock of each output's disturbance at every instant of each flight.
 

@@ -21,12 +21,7 @@ from heli_lab.fit import thresholds
 from heli_lab.fit.free_run import kernel
 from heli_lab.fit.parameters import FreeParameter, ParameterVector, PriorDistribution
 from heli_lab.fit.records import Record, prepare_all
-from heli_lab.fit.thresholds import (
-    MIN_OF_PRIOR,
-    SETTLED_S,
-    SHORT_FIT_S,
-    STATE_FIT_S,
-)
+from heli_lab.fit.thresholds import MIN_OF_PRIOR, SETTLED_S, SHORT_FIT_S, STATE_FIT_S
 from heli_lab.fit.windows import Grid, VoltageDelay, WindowGrids, make_grid
 
 NOT_FREE: Final = frozenset({"g", *ENCODER_COUNTS})

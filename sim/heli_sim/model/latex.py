@@ -244,10 +244,7 @@ class _Writer:
 
     def sum(self, expression: ca.SX) -> _BoundText:
         """Return a sum or difference in LaTeX."""
-        first, (second, binding) = (
-            self._operand(expression, 0),
-            self._latex_and_binding(expression.dep(1)),
-        )
+        first, (second, binding) = (self._operand(expression, 0), self._latex_and_binding(expression.dep(1)))
         negated = expression.op() == ca.OP_SUB
         if binding == _SIGNED or (not negated and second.startswith("-")):
             negated, second = not negated, second[1:]
@@ -285,10 +282,7 @@ class _Writer:
         return [*self._factors_of_product(expression.dep(0)), *self._factors_of_product(expression.dep(1))]
 
     def fraction(self, expression: ca.SX) -> _BoundText:
-        return (
-            rf"\frac{{{self._operand(expression, 0)}}}{{{self._operand(expression, 1)}}}",
-            _ATOM,
-        )
+        return (rf"\frac{{{self._operand(expression, 0)}}}{{{self._operand(expression, 1)}}}", _ATOM)
 
     def negated(self, expression: ca.SX) -> _BoundText:
         return f"-{self.operand_text(expression.dep(0), _PRODUCT)}", _SIGNED
@@ -311,10 +305,7 @@ class _Writer:
         return f"{self.operand_text(inner, _ATOM)}^{{2}}", _POWER
 
     def power(self, expression: ca.SX) -> _BoundText:
-        return (
-            f"{self.operand_text(expression.dep(0), _ATOM)}^{{{self._operand(expression, 1)}}}",
-            _POWER,
-        )
+        return (f"{self.operand_text(expression.dep(0), _ATOM)}^{{{self._operand(expression, 1)}}}", _POWER)
 
     def square_root(self, expression: ca.SX) -> _BoundText:
         return rf"\sqrt{{{self._operand(expression, 0)}}}", _ATOM
@@ -328,10 +319,7 @@ class _Writer:
     def extremum(self, expression: ca.SX) -> _BoundText:
         """Return a maximum or minimum of two operands."""
         name = r"\max" if expression.op() == ca.OP_FMAX else r"\min"
-        return (
-            rf"{name}\left({self._operand(expression, 0)}, {self._operand(expression, 1)}\right)",
-            _ATOM,
-        )
+        return (rf"{name}\left({self._operand(expression, 0)}, {self._operand(expression, 1)}\right)", _ATOM)
 
     def _operand(self, expression: ca.SX, number: int) -> str:
         """Return an operand of the last operation in LaTeX, without parentheses around it."""

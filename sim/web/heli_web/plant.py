@@ -26,13 +26,7 @@ _SELECT: Final = b"\x1b"
 """Of two values, the first where the condition above them on the stack is not 0."""
 _ZERO: Final = bytes([_CONST]) + struct.pack("<d", 0.0)
 _UNARY: Final = {ca.OP_NEG: 0x9A, ca.OP_SQRT: 0x9F, ca.OP_FABS: 0x99, ca.OP_FLOOR: 0x9C, ca.OP_CEIL: 0x9B}
-_BINARY: Final = {
-    ca.OP_ADD: 0xA0,
-    ca.OP_SUB: 0xA1,
-    ca.OP_MUL: 0xA2,
-    ca.OP_DIV: 0xA3,
-    ca.OP_COPYSIGN: 0xA6,
-}
+_BINARY: Final = {ca.OP_ADD: 0xA0, ca.OP_SUB: 0xA1, ca.OP_MUL: 0xA2, ca.OP_DIV: 0xA3, ca.OP_COPYSIGN: 0xA6}
 _COMPARE: Final = {ca.OP_LT: 0x63, ca.OP_LE: 0x65, ca.OP_EQ: 0x61, ca.OP_NE: 0x62}
 _CALL_1: Final = {
     getattr(ca, f"OP_{name.upper()}"): name

@@ -152,11 +152,7 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
     figure = Figure(figsize=(12.0, height_in))
     *angle_panels, volts_panel = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 2])
     figure.subplots_adjust(
-        left=0.07,
-        bottom=(table_in + 0.75) / height_in,
-        right=0.985,
-        top=1.0 - 0.5 / height_in,
-        hspace=0.12,
+        left=0.07, bottom=(table_in + 0.75) / height_in, right=0.985, top=1.0 - 0.5 / height_in, hspace=0.12
     )
     for (label, flight), colour in zip(flights.items(), _COLOURS, strict=False):
         flown = np.flatnonzero(flown_rows(flight))

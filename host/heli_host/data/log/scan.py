@@ -207,12 +207,7 @@ _LANDMARK = re.compile(rb"\x06.{36}\x04\x00{3}zstd|\x0f\x04\x00{7}", re.DOTALL)
 """How a compressed chunk begins, and the record that ends the data."""
 _DAMAGE = (*PARSE_ERRORS, zstandard.ZstdError, zlib.error, KeyError, RecursionError)
 _ANGLES = tuple(spec.column for spec in CHANNELS if spec.axis is not None)
-_NEEDED_FIELDS = (
-    "t_s",
-    "tick",
-    *_ANGLES,
-    *(spec.field for spec in CHANNELS if spec.column in OWN_COLUMNS),
-)
+_NEEDED_FIELDS = ("t_s", "tick", *_ANGLES, *(spec.field for spec in CHANNELS if spec.column in OWN_COLUMNS))
 """Fields that every version writes: a flight has columns of its own for them."""
 
 
@@ -343,8 +338,7 @@ class Scan:
         missing = [name for name in _NEEDED_FIELDS if name not in (layout.dtype.names or ())]
         if missing:
             raise LogError(
-                f"{self.path} has no column {missing[0]}",
-                "read it with the heli-host version that wrote it",
+                f"{self.path} has no column {missing[0]}", "read it with the heli-host version that wrote it"
             )
         self.layout = layout
         self._tick.layout, self._tick.channel = tick_record(layout), channel.id

@@ -490,8 +490,7 @@ def _standing_change(t_s: Floats, stands: Booleans) -> RowChange:
 def _with_voltages_of_next_row(rows: _Rows) -> _Rows:
     """Give each row the voltages of the next one, if the table has in each row those that acted until it."""
     return replace(
-        rows,
-        voltages_V={motor: np.append(volts[1:], volts[-1]) for motor, volts in rows.voltages_V.items()},
+        rows, voltages_V={motor: np.append(volts[1:], volts[-1]) for motor, volts in rows.voltages_V.items()}
     )
 
 
@@ -594,8 +593,7 @@ def _values_of_column(table: Table, name: str) -> Floats:
         close = difflib.get_close_matches(name, table.columns, n=1)
         hint = f"did you mean '{close[0]}'? " if close else ""
         raise FlightDataError(
-            f"{table.source}: unknown column '{name}'",
-            f"{hint}it has {', '.join(list(table.columns)[:12])}",
+            f"{table.source}: unknown column '{name}'", f"{hint}it has {', '.join(list(table.columns)[:12])}"
         )
     return table.columns[name].values
 

@@ -70,8 +70,7 @@ def within_memory(path: Path) -> Iterator[None]:
         yield
     except MemoryError as error:
         raise FlightDataError(
-            f"{path} needs more than {MAX_MEMORY_BYTES >> 30} GiB of memory to read",
-            _REMEDY,
+            f"{path} needs more than {MAX_MEMORY_BYTES >> 30} GiB of memory to read", _REMEDY
         ) from error
     finally:
         resource.setrlimit(resource.RLIMIT_AS, limit_before)

@@ -145,8 +145,7 @@ FlightSeedOption = Annotated[
     ),
 ]
 BlindOption = Annotated[
-    bool,
-    typer.Option("--blind", help="Hide rig, effects and seed in all files but LOG.truth.json."),
+    bool, typer.Option("--blind", help="Hide rig, effects and seed in all files but LOG.truth.json.")
 ]
 TwinOption = Annotated[
     str | None,
@@ -179,9 +178,7 @@ GainsOption = Annotated[
 ParamsFileOption = Annotated[
     Path | None,
     typer.Option(
-        "--params",
-        metavar="FILE",
-        help="Fly with the parameters of this file, and do not save them.",
+        "--params", metavar="FILE", help="Fly with the parameters of this file, and do not save them."
     ),
 ]
 _FIGURE_ENDS: Final = (".png", ".pdf", ".svg")

@@ -204,12 +204,7 @@ class LawChoice:
     def describe(self) -> list[dict[str, Any]]:
         """Return name, rate [Hz], cost [processor instructions per call] and signals of each law, as JSON."""
         return [
-            {
-                "name": law.name,
-                "rate_Hz": law.rate_Hz,
-                "cost": law.cost,
-                "signals": list(law.signal_names),
-            }
+            {"name": law.name, "rate_Hz": law.rate_Hz, "cost": law.cost, "signals": list(law.signal_names)}
             for law in self._laws.values()
         ]
 

@@ -44,11 +44,7 @@ class BufferRows:
 
 
 NO_ROWS = BufferRows(
-    tick=np.empty(0, np.int64),
-    raw=np.empty((0, CHANNEL_COUNT), np.int32),
-    end=0,
-    reset=False,
-    thinned=False,
+    tick=np.empty(0, np.int64), raw=np.empty((0, CHANNEL_COUNT), np.int32), end=0, reset=False, thinned=False
 )
 
 

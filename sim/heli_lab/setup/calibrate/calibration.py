@@ -206,10 +206,7 @@ def _calibration(
     for axis, quantity in zip(AXES, ENCODER_DIRECTIONS, strict=True):
         numbers[quantity] = Number(float(encoders.direction[axis]), "1", 0.0, f"{SOURCE}: turned by hand")
     numbers["elevation_min"] = Number(
-        encoder_values["elevation_rest_deg"],
-        "deg",
-        _REST_TOLERANCE_deg,
-        f"{SOURCE}: lifted to level by hand",
+        encoder_values["elevation_rest_deg"], "deg", _REST_TOLERANCE_deg, f"{SOURCE}: lifted to level by hand"
     )
     parameters = dict(encoder_values) | sign_parameters
     if thrust_numbers:

@@ -723,10 +723,7 @@ def _voltage_columns(options: ColumnOptions, roles: tuple[str, str]) -> list[tup
 
 
 def column_ambiguities(
-    ranked: Sequence[Assignment],
-    options: ColumnOptions,
-    files: Sequence[PreparedFile],
-    reference: Reference,
+    ranked: Sequence[Assignment], options: ColumnOptions, files: Sequence[PreparedFile], reference: Reference
 ) -> tuple[list[Ambiguity], str]:
     """Report columns that no name states, or whose names the motion contradicts; and say which are used."""
     best = ranked[0]

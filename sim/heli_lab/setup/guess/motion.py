@@ -288,10 +288,7 @@ def free_rows(signals: Signals, column: str) -> Booleans:
 
 
 def sum_and_difference(
-    signals: Signals,
-    assignment: Assignment,
-    bias: float = 0.0,
-    limits: VoltageLimits = NO_LIMITS,
+    signals: Signals, assignment: Assignment, bias: float = 0.0, limits: VoltageLimits = NO_LIMITS
 ) -> tuple[Floats, Floats]:
     """Compute the sum and the difference of the voltages that the motors received, shape (n,) each."""
     first, second = (
@@ -361,10 +358,7 @@ def _fit_at_best_lag(
 
 
 def rate_nats(
-    signals: Signals,
-    assignment: Assignment,
-    reference: Reference,
-    limits: VoltageLimits = NO_LIMITS,
+    signals: Signals, assignment: Assignment, reference: Reference, limits: VoltageLimits = NO_LIMITS
 ) -> dict[str, float]:
     """Compare, by axis, a column that is the rate of its axis with one that is the angle [nats].
 

@@ -111,19 +111,12 @@ def fewest_sign_changes(
     else:
         pitch = 1.0
     return SignChanges(
-        elevation,
-        pitch,
-        travel=travel_gain_sign * pitch,
-        motors_swapped=pitch_gain_sign * pitch < 0.0,
+        elevation, pitch, travel=travel_gain_sign * pitch, motors_swapped=pitch_gain_sign * pitch < 0.0
     )
 
 
 def travel_torque_nats(
-    signals: Signals,
-    assignment: Assignment,
-    reference: Reference,
-    rad: Mapping[str, float],
-    sign: float,
+    signals: Signals, assignment: Assignment, reference: Reference, rad: Mapping[str, float], sign: float
 ) -> float:
     """Compare a flight, whose travel has this sign, with its mirror image by the constant acceleration of
     travel [nats].

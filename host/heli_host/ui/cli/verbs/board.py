@@ -130,8 +130,7 @@ def motors(
         float, typer.Option("--back-V", metavar="V", help="Drive the back motor with this voltage.")
     ] = 0.0,
     duration_s: Annotated[
-        float,
-        typer.Option("--duration", metavar="S", min=0.1, max=MAX_S, help="Drive for this time in s."),
+        float, typer.Option("--duration", metavar="S", min=0.1, max=MAX_S, help="Drive for this time in s.")
     ] = 2.0,
     clear_fault: ClearFaultOption = False,
     port: PortOption = None,

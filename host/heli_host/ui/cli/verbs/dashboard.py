@@ -48,8 +48,7 @@ if TYPE_CHECKING:
 
 def dashboard(
     plans: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[PLAN...]", help="Offer the plans of these TOML files too."),
+        list[str] | None, typer.Argument(metavar="[PLAN...]", help="Offer the plans of these TOML files too.")
     ] = None,
     port: PortOption = None,
     sil: SilOption = False,

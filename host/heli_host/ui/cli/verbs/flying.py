@@ -132,8 +132,7 @@ def setpoint(
     ] = False,
     clear_fault: ClearFaultOption = False,
     keep: Annotated[
-        bool,
-        typer.Option("--keep", help="Keep flying at the end, so that another command can take over."),
+        bool, typer.Option("--keep", help="Keep flying at the end, so that another command can take over.")
     ] = False,
     log: Annotated[
         Path | None, typer.Option("--log", metavar="FILE", help="Record the flight into this log, .mcap.")

@@ -30,9 +30,7 @@ def info(
     truth: Annotated[
         Path | None,
         typer.Option(
-            "--truth",
-            metavar="FILE",
-            help="Show what flew in a blind flight, from its truth file.",
+            "--truth", metavar="FILE", help="Show what flew in a blind flight, from its truth file."
         ),
     ] = None,
     json: JsonOption = None,
@@ -232,8 +230,7 @@ def export(
         bool, typer.Option("--ros2", help="Write an MCAP file for ROS 2, in CDR encoding.")
     ] = False,
     blind: Annotated[
-        bool,
-        typer.Option("--blind", help="Hide address, rig, effects and seed, and seal them."),
+        bool, typer.Option("--blind", help="Hide address, rig, effects and seed, and seal them.")
     ] = False,
     output: Annotated[
         Path | None,
