@@ -33,6 +33,8 @@ from typer.testing import CliRunner
 
 from tests.cli.terminal import PATIENCE_S, Terminal, command, listed_commands, process, refusal
 
+pytestmark = pytest.mark.medium
+
 COMMANDS: dict[str, Any] = dict(listed_commands(command_line()))
 LEAVES = {name: verb for name, verb in COMMANDS.items() if not getattr(verb, "commands", None)}
 LAW = str(Path(__file__).resolve().parents[2] / "docs/laws/lqr.py")
@@ -133,7 +135,6 @@ def paragraphs(verb: Any) -> list[str]:
     return [" ".join(part.split()) for part in (verb.help or "").split("\n\n")]
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(("where", "line"), help_lines(), ids=[where for where, _ in help_lines()])
 def test_a_line_of_help_is_a_short_instruction_in_ordinary_words(where: str, line: str) -> None:
     assert len(line) <= LONGEST, len(line)
@@ -144,7 +145,6 @@ def test_a_line_of_help_is_a_short_instruction_in_ordinary_words(where: str, lin
     assert not UNWANTED.search(line)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_has_a_purpose_side_effects_and_an_example(name: str) -> None:
     verb = COMMANDS[name]
@@ -165,7 +165,6 @@ def test_help_has_a_purpose_side_effects_and_an_example(name: str) -> None:
             assert len(sentence.split()) <= 25, sentence
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("name", COMMANDS)
 def test_what_is_printed_has_every_word_of_the_help(name: str, terminal: Terminal) -> None:
     """The renderer drops what looks like a tag, such as a placeholder in angle brackets."""
@@ -198,7 +197,6 @@ def no_port_opens(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     return opened
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("verb", ARGUMENTS)
 def test_a_verb_without_a_target_opens_nothing_and_lists_the_boards(
     verb: str, terminal: Terminal, no_port_opens: list[str]
@@ -211,7 +209,6 @@ def test_a_verb_without_a_target_opens_nothing_and_lists_the_boards(
     assert not no_port_opens
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("verb", ARGUMENTS)
 def test_a_verb_with_two_targets_opens_nothing(
     verb: str, terminal: Terminal, no_port_opens: list[str]
@@ -232,7 +229,6 @@ def test_a_verb_takes_its_target_from_the_environment(
     assert no_port_opens == ["/dev/ttyACM8"]
 
 
-@pytest.mark.medium
 def test_every_verb_that_takes_a_port_is_tested_here() -> None:
     with_port = {name: options_of(verb) for name, verb in LEAVES.items() if "--port" in options_of(verb)}
     # `class` flies in simulation first, and asks before each flight on the rig.
@@ -240,13 +236,11 @@ def test_every_verb_that_takes_a_port_is_tested_here() -> None:
     assert {name for name, options in with_port.items() if "--sil" not in options} == {"class", "flash"}
 
 
-@pytest.mark.medium
 def test_a_verb_for_a_real_board_offers_no_simulation(no_port_opens: list[str]) -> None:
     with pytest.raises(PortError, match="add --port /dev/ttyACM7 for the Due found there"):
         check_target(None, None)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("plugged_in", "remedy"),
     [
@@ -285,7 +279,6 @@ def flight(tmp_path: Path) -> Path:
     return tmp_path / "a.csv"
 
 
-@pytest.mark.medium
 def test_what_is_listed_is_json_where_asked(terminal: Terminal, flight: Path) -> None:
     summary = json.loads(terminal("info", flight, "--json", "-").out)
     assert (summary["rows"], summary["notes"]) == (100, {"rig": "mine"})
@@ -297,7 +290,6 @@ def test_what_is_listed_is_json_where_asked(terminal: Terminal, flight: Path) ->
     assert rig["numbers"]["dead_zone"]["tolerance"] > 0.0
 
 
-@pytest.mark.medium
 def test_rigs_are_json_where_asked(terminal: Terminal) -> None:
     listed = json.loads(terminal("rig", "list", "--json", "-").out)["rigs"]
     assert "makki2024" in [rig["name"] for rig in listed]
@@ -307,7 +299,6 @@ def test_rigs_are_json_where_asked(terminal: Terminal) -> None:
     assert {"name", "left", "right", "tolerances"} <= compared["numbers"][0].keys()
 
 
-@pytest.mark.medium
 def test_rig_that_cannot_be_is_json_and_an_error(terminal: Terminal) -> None:
     result = terminal("rig", "check", "nobodys", "--json", "-")
     assert result.code != 0
@@ -316,7 +307,6 @@ def test_rig_that_cannot_be_is_json_and_an_error(terminal: Terminal) -> None:
     assert checked["error"] in result.err
 
 
-@pytest.mark.medium
 def test_every_verb_can_be_quiet_and_has_short_help() -> None:
     assert len(LEAVES) > 25
     for name, verb in LEAVES.items():
@@ -324,7 +314,6 @@ def test_every_verb_can_be_quiet_and_has_short_help() -> None:
         assert verb.context_settings.get("help_option_names", ["-h"]) is not None, name
 
 
-@pytest.mark.medium
 def test_quiet_leaves_results_and_takes_progress(terminal: Terminal) -> None:
     recorded = ("record", "--sil", "--speed", "max", "--duration", "6")
     loud = terminal(*recorded, "-o", "a.mcap")
@@ -338,7 +327,6 @@ def test_quiet_leaves_results_and_takes_progress(terminal: Terminal) -> None:
     assert "files:" not in terminal("--quiet", "plot", "a.mcap", "b.mcap").out
 
 
-@pytest.mark.medium
 def test_shell_completes_verbs(tmp_path: Path) -> None:
     completion = {"_HELI_HOST_COMPLETE": "complete_bash", "COMP_WORDS": "heli-host pl", "COMP_CWORD": "1"}
     with process(tmp_path, prepare=lambda: os.environ.update(completion)) as running:
@@ -346,7 +334,6 @@ def test_shell_completes_verbs(tmp_path: Path) -> None:
     assert out.split() == ["plot"]
 
 
-@pytest.mark.medium
 def test_doctor_ends_alike_in_both_forms(terminal: Terminal) -> None:
     result = terminal("doctor", "--json", "-")
     report = json.loads(result.out)
@@ -354,7 +341,6 @@ def test_doctor_ends_alike_in_both_forms(terminal: Terminal) -> None:
     assert {finding["verdict"] for finding in report["findings"]} <= {"good", "note", "bad"}
 
 
-@pytest.mark.medium
 def test_a_table_goes_to_standard_output(flight: Path) -> None:
     with process(flight.parent, "export", flight, "--csv", "-o", "-") as running:
         out, _ = running.communicate(timeout=60)
@@ -363,7 +349,6 @@ def test_a_table_goes_to_standard_output(flight: Path) -> None:
     assert running.returncode == 0
 
 
-@pytest.mark.medium
 def test_version_and_short_help(terminal: Terminal) -> None:
     result = terminal("--version")
     assert result.code == 0
@@ -373,7 +358,6 @@ def test_version_and_short_help(terminal: Terminal) -> None:
     assert "--install-completion" in terminal("--help").out
 
 
-@pytest.mark.medium
 def test_every_verb_with_a_result_takes_a_json_file() -> None:
     assert {name for name, verb in LEAVES.items() if "--json" not in options_of(verb)} == WITHOUT
     for name, verb in LEAVES.items():
@@ -381,7 +365,6 @@ def test_every_verb_with_a_result_takes_a_json_file() -> None:
         assert all(option.metavar == "FILE" and not option.is_flag for option in options), name
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("words", "key"),
     [
@@ -410,14 +393,12 @@ def test_a_result_on_standard_output_is_json_alone(
         assert content["trial"]["taken_over"] == ""
 
 
-@pytest.mark.medium
 def test_a_result_in_a_file_leaves_the_text_where_it_was(terminal: Terminal) -> None:
     result = terminal("rig", "check", "makki2024", "--json", "new/rigs.json")
     assert "makki2024: " in result.out
     assert json.loads(Path("new/rigs.json").read_text())["rigs"][0]["can_fly"]
 
 
-@pytest.mark.medium
 def test_the_old_names_of_record_and_dashboard_work_and_are_not_listed(terminal: Terminal) -> None:
     assert terminal("log", *SIL, "--duration", "0.2", "-o", "a.mcap").code == 0
     assert terminal("page", "--help").code == 0
@@ -528,7 +509,6 @@ def test_every_verb_is_run_here_or_serves_nobody() -> None:
     assert ENDED | {started.arguments[0] for started in STARTED.values()} == set(installed_verbs())
 
 
-@pytest.mark.medium
 def test_a_flight_and_its_checks_import_no_library_of_analyses(tmp_path: Path) -> None:
     (tmp_path / "short.toml").write_text(SHORT)
     process = subprocess.run(
@@ -571,7 +551,6 @@ def test_a_verb_leaves_options_out() -> None:
     assert "No such option" in printed("desk", "--colour", "red", without=("colour",))
 
 
-@pytest.mark.medium
 def test_a_law_flies_with_every_option_of_a_flight(terminal: Terminal) -> None:
     fly, law = (
         set(re.findall(r"^│\W*(--[a-z-]+)", terminal(*words, "--help").out, re.MULTILINE))

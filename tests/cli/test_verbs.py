@@ -37,6 +37,8 @@ from serial.tools import list_ports
 from tests.cli.terminal import Process, Terminal, command, process, refusal, until_open
 from tests.sil.harness import PATIENT
 
+pytestmark = pytest.mark.medium
+
 ROOT = Path(__file__).resolve().parents[2]
 SIL = ("--sil", "--speed", "max")
 DUE = SimpleNamespace(device="/dev/ttyDUE", description="n/a", vid=0x2341, pid=0x003D, serial_number=None)
@@ -44,14 +46,12 @@ NATIVE = SimpleNamespace(device="/dev/ttyUSBX", description="n/a", vid=0x2341, p
 ASKED, ABORTED = 2, 4
 
 
-@pytest.mark.medium
 def test_ports_names_a_due(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(list_ports, "comports", lambda: [NATIVE, DUE])
     out = terminal("ports").out
     assert out.index("programming port") < out.index("native port")
 
 
-@pytest.mark.medium
 def test_params_survive_dump_and_restore(terminal: Terminal, tmp_path: Path) -> None:
     dump = tmp_path / "rig.toml"
     assert terminal("params", "dump", dump, "--sil").code == 0
@@ -60,7 +60,6 @@ def test_params_survive_dump_and_restore(terminal: Terminal, tmp_path: Path) -> 
     assert "hover_V -> 1.625" in terminal("params", "restore", dump, "--sil", "--save").out
 
 
-@pytest.mark.medium
 def test_params_list_and_get_agree(terminal: Terminal) -> None:
     value = terminal("params", "get", "hover_V", "--sil").out.strip()
     rows = terminal("params", "list", "hover", "--sil").out.splitlines()
@@ -68,13 +67,11 @@ def test_params_list_and_get_agree(terminal: Terminal) -> None:
     assert value in row.split()
 
 
-@pytest.mark.medium
 def test_params_set_says_what_was_before(terminal: Terminal) -> None:
     assert "1.4 -> 1.5 V" in terminal("params", "set", "hover_V", "1.5", "--sil").out
     assert "not saved" in terminal("params", "set", "motor_min_V", "-2", "--sil").out
 
 
-@pytest.mark.medium
 def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
     log = tmp_path / "f.mcap"
     given = ("--elevation-deg", "4", "--travel-deg", "8", "--duration", "12")
@@ -90,7 +87,6 @@ def test_setpoint_holds_then_lands(terminal: Terminal, tmp_path: Path) -> None:
     assert flight.travel_rad.max() > 0.12
 
 
-@pytest.mark.medium
 def test_record_records_for_the_given_time_in_a_folder_named_after_local_time(
     terminal: Terminal, tmp_path: Path
 ) -> None:
@@ -102,7 +98,6 @@ def test_record_records_for_the_given_time_in_a_folder_named_after_local_time(
     assert read_flight(folders[0] / "flight.mcap").duration_s == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.medium
 def test_info_reads_a_table_too(terminal: Terminal, tmp_path: Path) -> None:
     rows = "".join(f"{k * 0.01:.2f},1,1,0,0,0\n" for k in range(50))
     table = tmp_path / "t.csv"
@@ -112,7 +107,6 @@ def test_info_reads_a_table_too(terminal: Terminal, tmp_path: Path) -> None:
     assert "100 Hz" in out
 
 
-@pytest.mark.medium
 def test_sil_serves_a_board_until_it_is_stopped(terminal: Terminal, tmp_path: Path) -> None:
     with process(tmp_path, "sil", "--pty", "due", "--speed", "20") as board:
         assert board.stdout is not None
@@ -124,13 +118,11 @@ def test_sil_serves_a_board_until_it_is_stopped(terminal: Terminal, tmp_path: Pa
     assert err == ""
 
 
-@pytest.mark.medium
 def test_doctor_finds_this_computer_fit(terminal: Terminal) -> None:
     result = terminal("doctor")
     assert result.code == 0, result.out
 
 
-@pytest.mark.medium
 def test_doctor_says_what_to_repair(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -143,7 +135,6 @@ def test_doctor_says_what_to_repair(
     assert "XDG_CACHE_HOME" in result.out
 
 
-@pytest.mark.medium
 def test_doctor_calls_a_missing_compiler_slow_not_broken(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
@@ -152,20 +143,17 @@ def test_doctor_calls_a_missing_compiler_slow_not_broken(monkeypatch: pytest.Mon
     assert "50 times slower" in finding.what
 
 
-@pytest.mark.medium
 def test_doctor_knows_an_old_python() -> None:
     assert doctor.check_python((3, 10, 2)).verdict is Verdict.BAD
     assert doctor.check_python((3, 11, 0)).verdict is Verdict.GOOD
 
 
-@pytest.mark.medium
 def test_doctor_names_a_missing_package() -> None:
     finding = doctor.check_packages(lambda name: name != "cobs")
     assert finding.verdict is Verdict.BAD
     assert "cobs" in finding.what
 
 
-@pytest.mark.medium
 def test_doctor_lists_optional_parts_and_how_to_add_them() -> None:
     notes = {finding.what: finding for finding in doctor.check_extras(lambda name: name != "pyarrow")}
     lacking = next(finding for what, finding in notes.items() if "logs as Parquet" in what)
@@ -176,7 +164,6 @@ def test_doctor_lists_optional_parts_and_how_to_add_them() -> None:
     assert "the Gymnasium environment" in complete and "logs as Parquet" not in complete
 
 
-@pytest.mark.medium
 def test_every_optional_part_of_the_documents_exists() -> None:
     rows = (ROOT / "docs" / "how-to" / "platforms.md").read_text().partition("## Optional parts")[2]
     listed = dict(re.findall(r"^\| `(\w+)` \| (.+) \|$", rows.partition("## Containers")[0], re.M))
@@ -184,7 +171,6 @@ def test_every_optional_part_of_the_documents_exists() -> None:
     assert all(packages_of(extra) for extra in listed)
 
 
-@pytest.mark.medium
 def test_help_imports_nothing_heavy() -> None:
     code = (
         "import sys; from heli_host.ui.cli import run; run(['--help']); "
@@ -197,7 +183,6 @@ def test_help_imports_nothing_heavy() -> None:
     assert process.returncode == 0, process.stderr
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("outcome", "message"),
     [
@@ -220,7 +205,6 @@ def test_a_flight_that_ended_early_says_what_to_do(outcome: str, message: str) -
     assert str(ended.value) == message
 
 
-@pytest.mark.medium
 def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -> None:
     result = terminal("watch", *SIL, "--duration", "1")
     assert result.code == 0, result
@@ -231,7 +215,6 @@ def test_watch_shows_counts_angles_and_errors_of_each_axis(terminal: Terminal) -
     assert lines[0].endswith("front +0.00 V, back +0.00 V  idle")
 
 
-@pytest.mark.medium
 def test_watch_is_a_table_that_fits_a_terminal_of_80_columns(tmp_path: Path) -> None:
     screen, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
@@ -262,7 +245,6 @@ def test_watch_is_a_table_that_fits_a_terminal_of_80_columns(tmp_path: Path) -> 
     assert max(map(len, lines[1:])) <= 79
 
 
-@pytest.mark.medium
 def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_session: Session, command: Command, timeout_s: float = 0.0) -> None:
         raise AssertionError(f"watch commanded {command}")
@@ -273,7 +255,6 @@ def test_watch_commands_nothing(terminal: Terminal, monkeypatch: pytest.MonkeyPa
     assert terminal("watch", *SIL, "--duration", "1").code == 0
 
 
-@pytest.mark.medium
 def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
     with heli_host.connect("sil://?speed=max") as heli:
         heli.arm()
@@ -290,14 +271,12 @@ def test_motors_get_the_voltage_for_the_time_and_are_off_afterwards() -> None:
         assert flown.front_V[-1] == 0.0
 
 
-@pytest.mark.medium
 def test_motors_without_a_voltage_only_enable(terminal: Terminal) -> None:
     result = terminal("motors", *SIL, "--duration", "1")
     assert result.code == 0, result
     assert "drivers off again" in result.out
 
 
-@pytest.mark.medium
 def test_motors_refuse_a_voltage_beyond_the_limits_and_enable_nothing(
     terminal: Terminal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -307,7 +286,6 @@ def test_motors_refuse_a_voltage_beyond_the_limits_and_enable_nothing(
     assert armed == []
 
 
-@pytest.mark.medium
 def test_motors_that_the_board_switches_off_say_why(terminal: Terminal) -> None:
     # Back motor alone: the short arm turns over.
     line = refusal(terminal("motors", *SIL, "--back-V", "6", "--duration", "10"), code=ABORTED)
@@ -330,7 +308,6 @@ def test_ctrl_c_switches_the_motors_off(tmp_path: Path) -> None:
             assert heli.state is State.IDLE
 
 
-@pytest.mark.medium
 def test_a_person_at_the_terminal_of_a_served_board_presses_its_stop_switch(tmp_path: Path) -> None:
     keyboard, stdin = pty.openpty()
     with Process(

@@ -20,6 +20,8 @@ from tests.guess.foreign import write as write_foreign
 from tests.guess.grade import DEVELOPMENT_SEEDS, grade
 from tests.running.long import samples
 
+pytestmark = pytest.mark.slow
+
 PLAIN = Distortion(
     "own", "deg", "V", "s", True, (1.0, 1.0, 1.0), False, False, 250.0, ("", 0.0), False, False, 0
 )
@@ -33,13 +35,11 @@ def guessed(how: Distortion, folder: Path, number: int = 1) -> tuple[object, ...
     return guess_result, {ambiguity.subject for ambiguity in guess_result.ambiguities}
 
 
-@pytest.mark.slow
 def test_nothing_wrong_is_sure(tmp_path: Path) -> None:
     guess_result, ambiguities = guessed(PLAIN, tmp_path)
     assert guess_result.sure, ambiguities  # type: ignore[attr-defined]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "late_s", "is_doubted"), [(0, 0.0, False), (0, 0.1, True), (1, 0.1, True)]
 )
@@ -50,7 +50,6 @@ def test_late_voltages_are_doubted_and_rotors_without_a_lag_are_not(
     assert ambiguities == ({"the voltages' time"} if is_doubted else set())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("axis", range(3))
 def test_a_turned_angle_is_turned_back(axis: int, tmp_path: Path) -> None:
     signs = [1.0, 1.0, 1.0]
@@ -61,14 +60,12 @@ def test_a_turned_angle_is_turned_back(axis: int, tmp_path: Path) -> None:
     assert ambiguities == (set() if axis == 0 else {"which rotor is the front one"})
 
 
-@pytest.mark.slow
 def test_zero_at_rest_is_brought_to_level(tmp_path: Path) -> None:
     guess_result, ambiguities = guessed(replace(PLAIN, at_rest=True), tmp_path)
     assert not ambiguities
     assert guess_result.profile.angles["elevation"].offset_deg == pytest.approx(-25.0, abs=0.5)  # type: ignore[attr-defined]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(samples(24, 2)))
 def test_no_distorted_flight_is_silently_wrong(seed: int) -> None:
     guess_result = judge_seed(seed)
@@ -76,7 +73,6 @@ def test_no_distorted_flight_is_silently_wrong(seed: int) -> None:
     assert guess_result.verdict != "SILENTLY WRONG"
 
 
-@pytest.mark.slow
 def test_measured_flights_are_guessed_right(tmp_path: Path) -> None:
     if not measured():
         pytest.skip("skipped: no shared data")
@@ -108,7 +104,6 @@ def assert_right(flight: Flight, rig: Rig, path: Path, offset_V: float = 0.0) ->
     return {ambiguity.subject for ambiguity in guess_result.ambiguities}
 
 
-@pytest.mark.slow
 def test_setpoints_and_estimates_are_not_taken_for_angles(tmp_path: Path) -> None:
     flight, rig = simulated(1)
     estimates = [np.convolve(item, np.ones(10) / 10.0, mode="same") for item in state_rows(flight, DEG)[::2]]
@@ -117,7 +112,6 @@ def test_setpoints_and_estimates_are_not_taken_for_angles(tmp_path: Path) -> Non
     assert assert_right(flight, rig, path) == {"which rotor is the front one", "the columns"}
 
 
-@pytest.mark.slow
 def test_angles_and_voltages_in_two_files_are_one_flight(tmp_path: Path) -> None:
     flight, rig = simulated(1)
     angles = write_mat(tmp_path / "plant.mat", flight.t_s, state_rows(flight))
@@ -130,7 +124,6 @@ def test_angles_and_voltages_in_two_files_are_one_flight(tmp_path: Path) -> None
     assert imported.front_V == pytest.approx(flight.front_V[100:], abs=1e-6)
 
 
-@pytest.mark.slow
 def test_measured_flights_logged_without_names_and_bias_are_guessed_right(tmp_path: Path) -> None:
     if not measured():
         pytest.skip("skipped: no shared data")
@@ -143,7 +136,6 @@ def test_measured_flights_logged_without_names_and_bias_are_guessed_right(tmp_pa
         assert {"the columns", "the sum's bias", "which rotor is the front one"} <= ambiguities
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", DEVELOPMENT_SEEDS[1 :: samples(1, 9)])
 def test_a_raw_file_needs_at_most_one_correction_and_a_doubt_names_it(seed: int, tmp_path: Path) -> None:
     graded = grade(write_foreign(seed, tmp_path))

@@ -41,6 +41,8 @@ from tests.law.hostile import HOSTILE, RIGS, CALM_s, Good, MAX_deg, Volts, follo
 from tests.link.core_harness import Harness, open_harness, payloads_of
 from tests.running.long import LONG, samples
 
+pytestmark = pytest.mark.medium
+
 NAMES = ("cascade", "feedback_linearisation", "gain_scheduled", "input_shaping", "lqg", "lqi", "lqr", "mpc",
          "sliding_mode")  # fmt: skip
 SECONDS = 60.0 if LONG else 6.0
@@ -64,7 +66,6 @@ def test_every_tick_on_the_emulated_due_is_replayed_bit_for_bit(name: str) -> No
     assert replayed(fly(program, "due", seconds=seconds), program, "due") > 990 * seconds
 
 
-@pytest.mark.medium
 def test_a_law_is_flown_without_asking_for_its_tape() -> None:
     law = law_of(LAWS / "lqi.py")
     with heli_host.connect("sil://") as heli:
@@ -80,7 +81,6 @@ def test_a_law_is_flown_without_asking_for_its_tape() -> None:
                 heli.fly_law(wrong, duration_s=0.5)  # type: ignore[arg-type]
 
 
-@pytest.mark.medium
 def test_parameters_of_a_law_are_set_by_name() -> None:
     law = law_of(LAWS / "lqi.py")
     with heli_host.connect("sil://") as heli:
@@ -115,7 +115,6 @@ def test_the_board_takes_over_from_a_hostile_law_and_holds_the_arm(name: str) ->
             assert tried.taken_over in reasons or "immediately" in tried.taken_over, tried.which
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("name", "volts", "reason"),
     [
@@ -142,7 +141,6 @@ def test_the_reason_for_a_takeover_is_the_one_that_was_provoked(
         assert abs(heli.latest.elevation_deg) < 1.0
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(("axis", "wanted_deg"), [("elevation", 15.0), ("travel", 35.0)])
 def test_an_axis_that_stays_away_from_its_setpoint_is_taken_over(axis: str, wanted_deg: float) -> None:
     law = hostile("stays", lambda now, good, _: motors(follows(now, share=0.0)))
@@ -155,7 +153,6 @@ def test_an_axis_that_stays_away_from_its_setpoint_is_taken_over(axis: str, want
         assert abs(report.value) > 0.8 * heli.params[f"{axis}_following_max_deg"]
 
 
-@pytest.mark.medium
 def test_a_good_law_flies_at_the_highest_setpoint_there_is() -> None:
     law = hostile("well", lambda now, good, _: motors(good))
     with heli_host.connect("sil://") as heli:
@@ -166,7 +163,6 @@ def test_a_good_law_flies_at_the_highest_setpoint_there_is() -> None:
         assert abs(heli.latest.elevation_deg - MAX_deg) < 1.0
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("end", ["the host ends it", "it lands"])
 @pytest.mark.parametrize("rig", ["nominal", "slow rotors"])
 def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> None:
@@ -190,7 +186,6 @@ def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> Non
             assert abs(heli.latest.elevation_deg - 21.0) < 1.0
 
 
-@pytest.mark.medium
 def test_the_board_takes_over_without_a_bump() -> None:
     flown = fly(hostile("well", lambda now, good, _: motors(good)).program, seconds=2.5)
     last = int(np.flatnonzero(flown.flying)[-1])
@@ -245,7 +240,6 @@ def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
     assert observed >= {(LawState.READY, old.hash), (LawState.READY, new.hash), (LawState.RECEIVING, 0)}
 
 
-@pytest.mark.medium
 def test_a_board_that_was_reset_gets_its_law_again_when_it_is_armed() -> None:
     law = law_of(LAWS / "lqr.py")
     with heli_host.connect("sil://") as heli:
@@ -260,7 +254,6 @@ def test_a_board_that_was_reset_gets_its_law_again_when_it_is_armed() -> None:
         assert loaded(heli.session).state == LawState.READY
 
 
-@pytest.mark.medium
 def test_a_cable_that_was_out_costs_no_law() -> None:
     law = law_of(LAWS / "lqr.py")
     with heli_host.connect("sil://?unplug=2:1") as heli:
@@ -270,7 +263,6 @@ def test_a_cable_that_was_out_costs_no_law() -> None:
         assert loaded(heli.session).hash == law.program.hash
 
 
-@pytest.mark.medium
 def test_from_the_beginning_of_an_upload_to_a_voltage_of_the_law_it_takes_half_a_second_at_most() -> None:
     law = law_of(LAWS / "lqg.py")
     with heli_host.connect("sil://") as heli:
@@ -296,7 +288,6 @@ LAW = from_gain({gains}, hover_V={hover_V})
 """
 
 
-@pytest.mark.medium
 def test_a_law_that_leaves_an_axis_free_is_not_stable() -> None:
     """Without feedback, travel has a pole at 0, and no margin limits anything."""
     linear = linearised(from_gain(0.0 * GAINS, hover_V=1.41), PLANT)
@@ -304,7 +295,6 @@ def test_a_law_that_leaves_an_axis_free_is_not_stable() -> None:
     assert np.isnan([*linear.gain_up, *linear.phase_deg]).all()
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("signs", [(-1, 1), (1, -1)])
 def test_a_law_with_a_wrong_sign_is_not_stable(signs: tuple[int, int]) -> None:
     linear = linearised(from_gain(np.array(signs)[:, None] * GAINS, hover_V=1.41), PLANT)
@@ -312,7 +302,6 @@ def test_a_law_with_a_wrong_sign_is_not_stable(signs: tuple[int, int]) -> None:
     assert np.isnan(linear.gain_up).all()
 
 
-@pytest.mark.medium
 def test_a_law_that_is_stable_keeps_its_margins() -> None:
     linear = linearised(from_gain(GAINS, hover_V=1.41), PLANT)
     assert linear.stable
@@ -320,7 +309,6 @@ def test_a_law_that_is_stable_keeps_its_margins() -> None:
     assert linear.nonlinearity_V < 1e-6
 
 
-@pytest.mark.medium
 def test_a_law_that_switches_is_not_linear() -> None:
     @control_law(rate_Hz=500)
     def switches(now: object, state: object, parameter: object) -> Command:
@@ -330,7 +318,6 @@ def test_a_law_that_switches_is_not_linear() -> None:
     assert linearised(switches, PLANT).nonlinearity_V == pytest.approx(3.0)
 
 
-@pytest.mark.medium
 def test_the_check_of_a_law_that_fails_ends_with_1_and_its_flight_with_4(
     terminal: Terminal, tmp_path: Path
 ) -> None:
@@ -349,7 +336,6 @@ def test_the_check_of_a_law_that_fails_ends_with_1_and_its_flight_with_4(
     assert json.loads((tmp_path / "fly.json").read_text())["outcome"].startswith("law_taken_over")
 
 
-@pytest.mark.medium
 def test_a_comparison_with_a_law_that_fails_says_so_in_its_labels(terminal: Terminal, tmp_path: Path) -> None:
     (tmp_path / "falls.py").write_text(FILE.format(gains=(0.0 * GAINS).tolist(), hover_V=3.5))
     where = ("--figure", tmp_path / "a.png", "--json", tmp_path / "a.json")
@@ -361,7 +347,6 @@ def test_a_comparison_with_a_law_that_fails_says_so_in_its_labels(terminal: Term
     assert sum("taken over" in label for label in labels) == 1
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("settling_s", "text"),
     [((3.66,), "3.66"), ((3.0, 4.0), "3.50"), ((3.66, math.inf), "3.66 in 1 of 2"), ((math.inf,), "never")],
@@ -373,7 +358,6 @@ def test_the_settling_of_a_grade_is_that_of_the_flights_that_settled(
     assert grade.row()[1] == text
 
 
-@pytest.mark.medium
 def test_a_grade_and_its_figure_measure_the_same(terminal: Terminal, tmp_path: Path) -> None:
     (tmp_path / "holds.py").write_text(FILE.format(gains=GAINS.tolist(), hover_V=1.41))
     log = tmp_path / "a.mcap"

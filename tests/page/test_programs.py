@@ -25,6 +25,8 @@ from tests.page.page_server import Served, SocketPage, log_lines, page_of_a_simu
 from tests.running.long import samples
 from tests.running.order import REAL_TIME
 
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
+
 VALUES = st.one_of(st.sampled_from(ODD), st.text(max_size=50), st.floats(), st.integers())
 NUMBERS = st.one_of(st.floats(), st.integers(), st.sampled_from([10**400, -(10**400), True]))
 SHORT_S = st.sampled_from([0.0, -1.0, math.nan, -math.inf, 0.01])
@@ -65,8 +67,6 @@ def is_one_line(error: HeliError) -> bool:
     return bool(str(error)) and "\n" not in str(error) and len(str(error)) < 1000
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 @settings(max_examples=samples(1000, 60), deadline=None)
 @given(call=st.sampled_from(sorted(CALLS)).flatmap(lambda name: st.tuples(st.just(name), CALLS[name])))
 def test_every_call_with_any_value_is_done_or_an_error_of_one_line(
@@ -82,8 +82,6 @@ def test_every_call_with_any_value_is_done_or_an_error_of_one_line(
     assert program.ask("mark", text="still here") is not None
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 @settings(max_examples=samples(1000, 60), deadline=None)
 @given(
     name=st.sampled_from([action for action in ARGUMENTS if action not in ("ask", "take_off")])
@@ -101,8 +99,6 @@ def test_every_request_with_any_argument_is_answered(
         assert is_one_line(error)
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 @settings(max_examples=samples(2000, 100), deadline=None)
 @given(
     st.one_of(
@@ -119,23 +115,17 @@ def test_an_address_that_is_none_is_an_error_of_one_line(address: str) -> None:
     assert is_one_line(raised.value)
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_request_that_json_cannot_hold_is_an_error_of_one_line(program: PageClient) -> None:
     for value in (object(), {1, 2}, b"x", 1j):
         with pytest.raises(PageError, match="JSON cannot hold the request"):
             program.ask("mark", text=value)
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_request_that_the_server_would_not_read_is_not_waited_for(program: PageClient) -> None:
     with pytest.raises(PageError, match=r"a request of \d+ characters is too long; send at most 4096"):
         program.mark("x" * 5000)
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_number_that_is_not_finite_is_refused_before_samples_are_cut(program: PageClient) -> None:
     program.wait_for_state(program.state, timeout_s=math.inf)
     with pytest.raises(ParameterError, match="last_s is nan, not a finite number"):
@@ -200,8 +190,6 @@ def stub_ros(monkeypatch: pytest.MonkeyPatch) -> list[JointState]:
     return published
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_the_bridge_publishes_each_tick_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     published = stub_ros(monkeypatch)
     (script,) = re.findall(r"```python\n(import sys\n.*?rclpy.*?)```", GUIDE.read_text(), re.DOTALL)

@@ -26,11 +26,12 @@ from tests.running.long import samples
 from tests.sil.faulty_flights import BLOWS, case, flown, mistakes_of, reason
 from tests.sil.harness import Host, hello_frame, world
 
+pytestmark = pytest.mark.medium
+
 PLAN = FaultPlan(flip=1e-3, drop=1e-2, double=1e-2)
 CLEAN = bytes(range(256)) * 40
 
 
-@pytest.mark.medium
 @given(cuts=st.lists(st.integers(0, len(CLEAN)), max_size=30), seed=st.integers(0, 5))
 def test_the_same_seed_spoils_the_same_bytes_however_they_are_cut(cuts: list[int], seed: int) -> None:
     passed_at_once = FaultyStream(PLAN, seed, 0).pass_through(CLEAN)
@@ -39,13 +40,11 @@ def test_the_same_seed_spoils_the_same_bytes_however_they_are_cut(cuts: list[int
     assert b"".join(stream.pass_through(CLEAN[a:b]) for a, b in pairwise(edges)) == passed_at_once
 
 
-@pytest.mark.medium
 def test_seeds_and_directions_differ() -> None:
     spoiled = {FaultyStream(PLAN, seed, way).pass_through(CLEAN) for seed in (1, 2) for way in (0, 1)}
     assert len(spoiled) == 4
 
 
-@pytest.mark.medium
 def test_rates_are_those_asked_for() -> None:
     stream = FaultyStream(FaultPlan(flip=1e-4, drop=1e-3, double=2e-3), 1, 0)
     for _ in range(100):
@@ -57,7 +56,6 @@ def test_rates_are_those_asked_for() -> None:
     assert counters.doubled == pytest.approx(2e-3 * seen, rel=0.15)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("plan", "spoil"),
     [
@@ -71,7 +69,6 @@ def test_a_certain_fault_hits_every_byte(plan: FaultPlan, spoil: Callable[[bytes
     assert FaultyStream(plan, 1, 0).pass_through(CLEAN) == spoil(CLEAN)
 
 
-@pytest.mark.medium
 def test_what_is_lost_and_what_is_doubled_adds_up() -> None:
     stream = FaultyStream(FaultPlan(drop=0.05, double=0.03), 3, 1)
     out = stream.pass_through(CLEAN)
@@ -80,7 +77,6 @@ def test_what_is_lost_and_what_is_doubled_adds_up() -> None:
     assert len(CLEAN) - counters.dropped <= len(out) <= len(CLEAN) - counters.dropped + counters.doubled
 
 
-@pytest.mark.medium
 def test_flipped_bits_are_noticed_by_both_ends() -> None:
     host = Host(world(flip="3e-4"))
     for seq in range(200):
@@ -91,7 +87,6 @@ def test_flipped_bits_are_noticed_by_both_ends() -> None:
     assert host.world.counters()["flipped_bits"] > 0
 
 
-@pytest.mark.medium
 def test_a_stall_holds_the_hosts_bytes_and_overflows_towards_it() -> None:
     host = Host(world(stall="1:0.5"))
     host.hello()
@@ -105,7 +100,6 @@ def test_a_stall_holds_the_hosts_bytes_and_overflows_towards_it() -> None:
     assert host.world.native.line_counters()["to_board_bytes"] == before["to_board_bytes"] + 100
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("slice_ticks", [1, 7, 333])
 def test_a_stall_begins_and_ends_on_its_tick_however_time_is_cut(slice_ticks: int) -> None:
     def received(slice_ticks: int) -> bytes:
@@ -120,7 +114,6 @@ def test_a_stall_begins_and_ends_on_its_tick_however_time_is_cut(slice_ticks: in
     assert received(slice_ticks) == received(2000)
 
 
-@pytest.mark.medium
 def test_pulling_the_cable_loses_what_is_under_way_and_the_board_flies_on() -> None:
     host = Host(world(unplug="1:0.5"))
     host.drive(1.9, 1.9)
@@ -134,7 +127,6 @@ def test_pulling_the_cable_loses_what_is_under_way_and_the_board_flies_on() -> N
     assert host.world.board.sim.boots == boots
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("query", "says"),
     [
@@ -164,7 +156,6 @@ def test_a_wrong_option_is_refused_in_one_line(query: str, says: str) -> None:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.medium
 def test_an_address_may_name_everything_or_nothing() -> None:
     assert parse_url("sil://").rig == "makki2024"
     assert parse_url("sil://?").speed is None
@@ -217,7 +208,6 @@ def person(host: Host) -> Iterator[Person]:
     person.close()
 
 
-@pytest.mark.medium
 def test_the_stop_switch_is_pressed_and_released(host: Host, person: Person) -> None:
     host.drive(1.9, 1.9)
     reply = person.type_in("stop\n")
@@ -226,7 +216,6 @@ def test_the_stop_switch_is_pressed_and_released(host: Host, person: Person) -> 
     assert host.world.native.volts_V == [0.0, 0.0]
 
 
-@pytest.mark.medium
 def test_a_released_switch_lets_the_motors_run_again(host: Host, person: Person) -> None:
     host.hello()
     person.type_in("stop\n")
@@ -238,7 +227,6 @@ def test_a_released_switch_lets_the_motors_run_again(host: Host, person: Person)
     assert host.world.native.volts_V[0] > 1.8
 
 
-@pytest.mark.medium
 def test_an_encoder_out_does_not_count_and_goes_on_from_where_it_stopped(host: Host, person: Person) -> None:
     board = host.world.board.sim
     assert isinstance(board, _native.NativeBoard)
@@ -261,7 +249,6 @@ def test_an_encoder_out_does_not_count_and_goes_on_from_where_it_stopped(host: H
     assert pitched(0.2) == [False, True, False]
 
 
-@pytest.mark.medium
 def test_motors_without_supply_get_no_voltage(host: Host, person: Person) -> None:
     host.drive(1.9, 1.9)
     person.type_in("supply off\n")
@@ -272,7 +259,6 @@ def test_motors_without_supply_get_no_voltage(host: Host, person: Person) -> Non
     assert host.world.native.volts_V[0] > 1.8
 
 
-@pytest.mark.medium
 def test_a_line_may_come_in_pieces_and_several_at_once(person: Person) -> None:
     assert person.type_in("sto") == ""
     person.type_in("p\n\nrelease\nsup")
@@ -282,7 +268,6 @@ def test_a_line_may_come_in_pieces_and_several_at_once(person: Person) -> None:
     ]
 
 
-@pytest.mark.medium
 def test_what_is_not_understood_says_what_is(host: Host, person: Person) -> None:
     for line in (
         "halt",
@@ -299,7 +284,6 @@ def test_what_is_not_understood_says_what_is(host: Host, person: Person) -> None
     assert host.world.rig_faults == host.world.options.rig_faults
 
 
-@pytest.mark.medium
 def test_what_was_asked_for_at_the_start_can_be_ended_and_comes_all_the_same() -> None:
     host = Host(world(stop_switch="0.1,0.9:0.1", supply_out="0"))
     person = Person(host)
@@ -314,13 +298,11 @@ def test_what_was_asked_for_at_the_start_can_be_ended_and_comes_all_the_same() -
     person.close()
 
 
-@pytest.mark.medium
 def test_when_the_lines_end_the_board_is_served_on(person: Person) -> None:
     person.leave()
     assert person.console.watched() == []
 
 
-@pytest.mark.medium
 def test_in_the_background_the_terminal_is_left_to_the_shell(
     host: Host, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -335,7 +317,6 @@ def test_in_the_background_the_terminal_is_left_to_the_shell(
     os.close(master)
 
 
-@pytest.mark.medium
 def test_a_served_board_listens_while_it_flies(host: Host, person: Person) -> None:
     stop_fd, stop_pen = os.pipe()
     received: list[str] = []
@@ -357,7 +338,6 @@ def test_a_served_board_listens_while_it_flies(host: Host, person: Person) -> No
         os.close(fd)
 
 
-@pytest.mark.medium
 def test_a_hand_turns_an_axis_and_lets_it_go(host: Host, person: Person) -> None:
     reply = person.type_in("turn elevation -5\nturn pitch 20\n")
     assert reply.endswith("a hand turns pitch to 20 degrees, and holds it")
@@ -370,7 +350,6 @@ def test_a_hand_turns_an_axis_and_lets_it_go(host: Host, person: Person) -> None
     assert pitch_deg < 19.0
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     "line", ["turn roll 5", "turn pitch up", "turn pitch nan", "turn pitch 900", "turn pitch"]
 )

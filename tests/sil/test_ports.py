@@ -49,6 +49,8 @@ from hypothesis import strategies as st
 from tests.running.long import samples
 from tests.sil.harness import PATIENT, Bench, Host, PtyHost, TcpHost, hello_frame, world
 
+pytestmark = pytest.mark.medium
+
 
 @pytest.fixture(params=["pty", "tcp"])
 def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Endpoint]:
@@ -75,12 +77,10 @@ def greet(bench: Bench, host: PtyHost | TcpHost, seq: int = 0) -> None:
     bench.until(hear)
 
 
-@pytest.mark.medium
 def test_a_host_opens_a_session(bench: Bench) -> None:
     greet(bench, bench.open())
 
 
-@pytest.mark.medium
 def test_the_port_survives_hosts_that_come_and_go(bench: Bench) -> None:
     for seq in range(5):
         host = bench.open()
@@ -91,7 +91,6 @@ def test_the_port_survives_hosts_that_come_and_go(bench: Bench) -> None:
     assert bench.world.board.sim.boots == 1
 
 
-@pytest.mark.medium
 def test_the_next_host_hears_nothing_that_was_meant_for_the_last(bench: Bench) -> None:
     first = bench.open()
     greet(bench, first)
@@ -109,13 +108,11 @@ def test_the_next_host_hears_nothing_that_was_meant_for_the_last(bench: Bench) -
     assert len(received) < 400
 
 
-@pytest.mark.medium
 def test_time_passes_while_nobody_is_there(bench: Bench) -> None:
     bench.turn(100)
     assert bench.world.tick == pytest.approx(400, abs=8)
 
 
-@pytest.mark.medium
 def test_an_unread_port_overflows_the_bridge_and_recovers(bench: Bench) -> None:
     host = bench.open()
     greet(bench, host)
@@ -128,7 +125,6 @@ def test_an_unread_port_overflows_the_bridge_and_recovers(bench: Bench) -> None:
     bench.until(host.read)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("reset", [False, True])
 def test_opening_resets_the_board_only_when_asked_to(port: Endpoint, reset: bool) -> None:
     bench = Bench(port, world(reset_on_open="1" if reset else "0"))
@@ -140,7 +136,6 @@ def test_opening_resets_the_board_only_when_asked_to(port: Endpoint, reset: bool
     host.close()
 
 
-@pytest.mark.medium
 def test_pulling_the_cable_takes_the_port_away_and_brings_it_back(port: Endpoint) -> None:
     bench = Bench(port, world(unplug="1:1"))
     url = port.url
@@ -158,7 +153,6 @@ def test_pulling_the_cable_takes_the_port_away_and_brings_it_back(port: Endpoint
     assert bench.world.board.sim.boots == 1
 
 
-@pytest.mark.medium
 def test_a_terminal_is_raw_before_any_host_sets_it_up(tmp_path: Path) -> None:
     endpoint = PtyEndpoint(tmp_path / "due")
     bench = Bench(endpoint, world())
@@ -178,7 +172,6 @@ def test_a_terminal_is_raw_before_any_host_sets_it_up(tmp_path: Path) -> None:
     assert endpoint.receive() == b""
 
 
-@pytest.mark.medium
 def test_the_link_goes_with_the_terminal_and_a_stale_one_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "due"
     path.symlink_to("/dev/pts/no-such-terminal")
@@ -189,7 +182,6 @@ def test_the_link_goes_with_the_terminal_and_a_stale_one_is_replaced(tmp_path: P
     assert not path.is_symlink()
 
 
-@pytest.mark.medium
 def test_a_second_server_on_the_same_path_is_refused_and_takes_nothing(tmp_path: Path) -> None:
     path = tmp_path / "due"
     first = PtyEndpoint(path)
@@ -207,7 +199,6 @@ def test_a_second_server_on_the_same_path_is_refused_and_takes_nothing(tmp_path:
     PtyEndpoint(path).close()
 
 
-@pytest.mark.medium
 def test_the_link_of_a_killed_server_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "due"
     killed = SilProcess(pty=path)
@@ -224,7 +215,6 @@ def test_the_link_of_a_killed_server_is_replaced(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.medium
 def test_the_link_of_another_program_is_neither_replaced_nor_removed(tmp_path: Path) -> None:
     path, other = tmp_path / "due", PtyEndpoint()
     for target in (other.terminal, "/dev/null", str(tmp_path), "nowhere"):
@@ -241,7 +231,6 @@ def test_the_link_of_another_program_is_neither_replaced_nor_removed(tmp_path: P
     other.close()
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_a_file_or_folder_in_the_links_place_is_not_replaced(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "due"
@@ -253,13 +242,11 @@ def test_a_file_or_folder_in_the_links_place_is_not_replaced(tmp_path: Path, kin
     assert text.read_text() == "a student's homework"
 
 
-@pytest.mark.medium
 def test_a_link_in_no_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(EndpointError, match="cannot make the port"):
         PtyEndpoint(tmp_path / "nowhere" / "due")
 
 
-@pytest.mark.medium
 def test_a_tcp_port_in_use_is_refused() -> None:
     first = TcpEndpoint()
     with pytest.raises(EndpointError, match="give HOST:PORT another port, or 0 for a free one"):
@@ -267,14 +254,12 @@ def test_a_tcp_port_in_use_is_refused() -> None:
     first.close()
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("address", ["nohost", "127.0.0.1:", "127.0.0.1:http"])
 def test_a_wrong_tcp_address_is_refused(address: str) -> None:
     with pytest.raises(OptionError, match="HOST:PORT"):
         run_server(SilOptions(), tcp=address)
 
 
-@pytest.mark.medium
 def test_25_bytes_a_millisecond_reach_the_board() -> None:
     line = world()
     line.advance(1, bytes(1000))
@@ -286,14 +271,12 @@ def test_25_bytes_a_millisecond_reach_the_board() -> None:
     assert line.native.line_counters()["to_board_overflow"] == 0
 
 
-@pytest.mark.medium
 def test_bytes_for_the_board_wait_until_the_line_has_carried_the_ones_before() -> None:
     line = world()
     line.advance(1, bytes(100))
     assert line.native.to_board_waiting == 75
 
 
-@pytest.mark.medium
 def test_a_host_that_writes_faster_than_the_line_for_seconds_loses_bytes_and_they_are_counted() -> None:
     line = world()
     line.advance(1, bytes(70_000))
@@ -301,7 +284,6 @@ def test_a_host_that_writes_faster_than_the_line_for_seconds_loses_bytes_and_the
     assert counters["to_board_overflow"] == 70_000 - 65_536
 
 
-@pytest.mark.medium
 def test_bytes_reach_the_host_in_bursts_every_4_ms_or_when_96_wait() -> None:
     host = Host()
     host.hello()
@@ -321,7 +303,6 @@ def test_bytes_reach_the_host_in_bursts_every_4_ms_or_when_96_wait() -> None:
     assert sum(sizes) <= 25 * 2000
 
 
-@pytest.mark.medium
 def test_every_burst_falls_on_the_bridges_timer_when_little_is_sent() -> None:
     host = Host()
     ticks = []
@@ -336,7 +317,6 @@ def test_every_burst_falls_on_the_bridges_timer_when_little_is_sent() -> None:
     assert set(ticks) <= ends_of_timer
 
 
-@pytest.mark.medium
 def test_a_host_that_does_not_read_loses_bytes_and_the_rest_arrives() -> None:
     host = Host()
     host.hello()
@@ -388,7 +368,6 @@ def boots(bench: Bench) -> int:
     return bench.world.board.sim.boots
 
 
-@pytest.mark.medium
 def test_every_opening_of_a_terminal_resets_an_emulated_due(endpoint: PtyEndpoint, elf: Path) -> None:
     bench = Bench(endpoint, world(board="due", elf=str(elf)))
     bench.turn(10)
@@ -399,7 +378,6 @@ def test_every_opening_of_a_terminal_resets_an_emulated_due(endpoint: PtyEndpoin
         assert boots(bench) == count
 
 
-@pytest.mark.medium
 def test_a_host_that_clears_the_hang_up_flag_spares_the_next_one_the_reset(endpoint: PtyEndpoint) -> None:
     bench = Bench(endpoint, world(reset_on_open="1"))
     bench.turn(10)
@@ -415,7 +393,6 @@ def test_a_host_that_clears_the_hang_up_flag_spares_the_next_one_the_reset(endpo
     assert boots(bench) == 3
 
 
-@pytest.mark.medium
 def test_opening_a_native_board_resets_nothing_unless_asked_to(endpoint: PtyEndpoint) -> None:
     bench = Bench(endpoint, world())
     bench.turn(10)
@@ -423,7 +400,6 @@ def test_opening_a_native_board_resets_nothing_unless_asked_to(endpoint: PtyEndp
     assert boots(bench) == 1
 
 
-@pytest.mark.medium
 def test_a_terminal_closed_at_1200_baud_erases_the_flash(endpoint: PtyEndpoint, elf: Path) -> None:
     bench = Bench(endpoint, world(board="due", elf=str(elf)))
     host = open_terminal(bench)
@@ -435,7 +411,6 @@ def test_a_terminal_closed_at_1200_baud_erases_the_flash(endpoint: PtyEndpoint, 
     assert set(board.sim.due.flash()) == {0xFF}
 
 
-@pytest.mark.medium
 def test_an_erased_native_board_is_silent_too() -> None:
     erased = world()
     erased.control_lines(dtr=False, baud=1200)
@@ -443,7 +418,6 @@ def test_an_erased_native_board_is_silent_too() -> None:
     assert erased.board.sim.boots == 0
 
 
-@pytest.mark.medium
 def test_a_flight_survives_a_host_that_dies_where_opening_resets_nothing(elf: Path) -> None:
     options = {"board": "due", "elf": str(elf), "reset_on_open": "0"}
     with SilProcess(speed=None, options=options) as board:
@@ -458,7 +432,6 @@ def test_a_flight_survives_a_host_that_dies_where_opening_resets_nothing(elf: Pa
             second.land()
 
 
-@pytest.mark.medium
 def test_lines_report_only_changes() -> None:
     changes: list[LineChange] = []
     lines = Lines(changes)
@@ -492,7 +465,6 @@ def served(options: Board) -> Iterator[Served]:
         board.endpoint.close()
 
 
-@pytest.mark.medium
 def test_a_flight_over_rfc2217_begins_with_a_reset(elf: Path) -> None:
     with served({"board": "due", "elf": str(elf)}) as due, heli_host.connect(due.url) as heli:
         assert due.url.startswith("rfc2217://")
@@ -510,7 +482,6 @@ def dtr(heli: Heli, level: bool) -> None:
     transport._serial.dtr = level
 
 
-@pytest.mark.medium
 def test_a_session_survives_a_reset_by_the_line(elf: Path) -> None:
     with served({"board": "due", "elf": str(elf)}) as due, heli_host.connect(due.url) as heli:
         dtr(heli, level=False)
@@ -523,7 +494,6 @@ def test_a_session_survives_a_reset_by_the_line(elf: Path) -> None:
         assert heli.state is State.IDLE
 
 
-@pytest.mark.medium
 def test_1200_baud_is_refused_by_the_host_and_would_have_erased_the_flash(elf: Path) -> None:
     with served({"board": "due", "elf": str(elf)}) as due:
         with pytest.raises(BadBaud):
@@ -540,7 +510,6 @@ def test_1200_baud_is_refused_by_the_host_and_would_have_erased_the_flash(elf: P
         assert set(board.sim.due.flash()) == {0xFF}
 
 
-@pytest.mark.medium
 def test_bytes_that_mean_something_to_telnet_pass_unchanged() -> None:
     everything = bytes(range(256)) + b"\xff\xff\xf0\xfa"
     endpoint = Rfc2217Endpoint()
@@ -597,7 +566,6 @@ NEGOTIATION = st.builds(
 TRAFFIC = st.lists(st.one_of(st.binary(max_size=20), BYTE.map(lambda byte: IAC + byte), REQUEST, NEGOTIATION))
 
 
-@pytest.mark.medium
 @settings(max_examples=samples(5000, 300), deadline=None)
 @given(pieces=TRAFFIC, cuts=st.lists(st.integers(1, 7), min_size=1, max_size=5))
 @example(pieces=[IAC + SE], cuts=[1])
@@ -621,14 +589,12 @@ def test_no_bytes_of_a_host_end_the_server_or_fill_its_memory(pieces: list[bytes
     assert wire.sent.endswith(IAC + SB + COM_PORT + b"\x65" + (250_000).to_bytes(4) + IAC + SE)
 
 
-@pytest.mark.medium
 def test_a_request_without_end_keeps_a_few_bytes_only() -> None:
     server, _, _ = protocol_server()
     assert b"".join(server.filter(IAC + SB + bytes(1_000_000))) == b""
     assert len(server.suboption or b"") == 64
 
 
-@pytest.mark.medium
 def test_a_host_that_asks_and_never_reads_is_disconnected() -> None:
     endpoint = Rfc2217Endpoint()
     ask = (IAC + SB + COM_PORT + b"\x07" + IAC + SE) * 5000
@@ -779,7 +745,6 @@ def test_an_address_that_others_can_reach_is_known(url: str, local: bool) -> Non
     assert is_local(url) is local
 
 
-@pytest.mark.medium
 def test_an_address_that_others_can_reach_is_warned_about(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,6 +19,8 @@ import zstandard
 from heli_host.data.tables import limits, read_table
 from heli_host.errors import FlightDataError
 
+pytestmark = pytest.mark.medium
+
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="skipped: only Linux limits memory")
 
 MAX_MiB = 400
@@ -200,7 +202,6 @@ def test_small_files_that_unpack_to_gigabytes_are_refused_in_a_line(tmp_path: Pa
         assert memory_MiB < MAX_MiB, outcomes
 
 
-@pytest.mark.medium
 @LINUX
 def test_a_file_that_lies_about_its_size_is_stopped_by_the_memory_it_may_take(tmp_path: Path) -> None:
     mat_of_a_huge_cell_array(tmp_path / "a.mat")
@@ -208,7 +209,6 @@ def test_a_file_that_lies_about_its_size_is_stopped_by_the_memory_it_may_take(tm
         read_table(tmp_path / "a.mat")
 
 
-@pytest.mark.medium
 def test_sizes_are_counted_up_to_a_limit_for_every_compression() -> None:
     import bz2
 
@@ -228,7 +228,6 @@ def test_sizes_are_counted_up_to_a_limit_for_every_compression() -> None:
         assert 1000 < limits.unpacked_bytes(codec, body, 1000) <= max(len(body), 1000 + (1 << 20)), codec
 
 
-@pytest.mark.medium
 def test_a_table_at_the_limits_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import pandas
 
@@ -245,7 +244,6 @@ def test_a_table_at_the_limits_is_read(tmp_path: Path, monkeypatch: pytest.Monke
         read_table(tmp_path / "c.parquet")
 
 
-@pytest.mark.medium
 def test_a_sheet_with_gaps_dates_and_texts_is_read(tmp_path: Path) -> None:
     import openpyxl
 
