@@ -28,9 +28,10 @@ from tests.page.fetch_vendor import FOLDER, integrity, pinned, stored, unpacked
 from tests.page.page_server import Served, SocketPage, page_process, patient_page, steady, tired
 from tests.running.order import REAL_TIME
 
+pytestmark = [pytest.mark.slow, pytest.mark.xdist_group(REAL_TIME)]
+
 STATIC = FOLDER.parent
 OWN = sorted(path for path in STATIC.glob("*") if path.suffix in (".js", ".html", ".css", ".svg"))
-
 
 pytest.importorskip("starlette", reason="the extra 'page' is not installed: make setup")
 
@@ -54,8 +55,6 @@ def status_of(url: str, method: str = "GET", **headers: str) -> int:
         return error.code
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_nobody_is_let_in_without_the_token_or_from_elsewhere(served: Served) -> None:
     address = served.address
     base = f"http://127.0.0.1:{address.port}"
@@ -80,8 +79,6 @@ def test_nobody_is_let_in_without_the_token_or_from_elsewhere(served: Served) ->
     assert served.heli.session.stops == 1
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_no_file_beyond_the_page_is_served(served: Served) -> None:
     base = f"http://127.0.0.1:{served.address.port}"
     for path in (
@@ -95,8 +92,6 @@ def test_no_file_beyond_the_page_is_served(served: Served) -> None:
         assert status_of(f"{base}/{path}") in (400, 404), path
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_the_first_page_flies_and_the_second_watches_but_can_stop(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         assert first.flies
@@ -111,8 +106,6 @@ def test_the_first_page_flies_and_the_second_watches_but_can_stop(served: Served
         assert served.heli.session.stops == 1
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_control_is_handed_over_by_asking(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         assert second.ask("ask")["granted"] is False
@@ -126,8 +119,6 @@ def test_control_is_handed_over_by_asking(served: Served) -> None:
         assert "error" in first.ask("take_off")
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_pilot_who_is_back_while_it_holds_flies_on(served: Served) -> None:
     with SocketPage(served.address, client="tab") as second_look:
         second_look.ask("take_off")
@@ -140,8 +131,6 @@ def test_a_pilot_who_is_back_while_it_holds_flies_on(served: Served) -> None:
                 again.stop()
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_pilot_whose_page_falls_silent_is_a_missing_setpoint_and_the_board_lands(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         number = first.send("fly", plans=["hover"])
@@ -155,8 +144,6 @@ def test_a_pilot_whose_page_falls_silent_is_a_missing_setpoint_and_the_board_lan
         assert served.heli.session.stops == 0
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_duplicated_tab_is_a_client_of_its_own(served: Served) -> None:
     with (
         SocketPage(served.address, client="same") as first,
@@ -166,8 +153,6 @@ def test_a_duplicated_tab_is_a_client_of_its_own(served: Served) -> None:
         assert not second.flies
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_what_a_page_shows_is_what_the_log_holds(served: Served) -> None:
     with SocketPage(served.address) as page, SocketPage(served.address), SocketPage(served.address):
         answer = page.ask("fly", plans=["short"])
@@ -191,8 +176,6 @@ def test_what_a_page_shows_is_what_the_log_holds(served: Served) -> None:
         assert "hold" in log.metadata["plan"]["short"]
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_client_that_does_not_keep_up_gets_fewer_rows_and_holds_nobody_up(served: Served) -> None:
     with SocketPage(served.address) as quick, SocketPage(served.address) as slow:
         slow.answers.clear()
@@ -214,8 +197,6 @@ def test_a_client_that_does_not_keep_up_gets_fewer_rows_and_holds_nobody_up(serv
         assert int(late.tick[-1] - late.tick[0]) > 5000
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_parameters_change_in_flight_where_the_declaration_lets_them(served: Served) -> None:
     with SocketPage(served.address) as first, SocketPage(served.address) as second:
         before = first.known["hello"]["values"]["travel_kp"]
@@ -245,8 +226,6 @@ def test_parameters_change_in_flight_where_the_declaration_lets_them(served: Ser
         first.stop()
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) -> None:
     laws = [steady().program, tired().program]
     with (
@@ -278,8 +257,6 @@ def test_the_pilot_chooses_a_law_and_a_plan_is_flown_under_it(tmp_path: Path) ->
         assert flew.sum() > 1000
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_stop_during_the_take_off_ends_it_and_a_later_one_flies_again(served: Served) -> None:
     with SocketPage(served.address) as page:
         number = page.send("take_off")
@@ -294,8 +271,6 @@ def test_a_stop_during_the_take_off_ends_it_and_a_later_one_flies_again(served: 
         page.stop()
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_land_ends_a_plan_and_the_log_says_so(served: Served) -> None:
     with SocketPage(served.address) as page:
         number = page.send("fly", plans=["hover"])
@@ -310,8 +285,6 @@ def test_land_ends_a_plan_and_the_log_says_so(served: Served) -> None:
         assert log.metadata["result"]["outcome"].startswith("aborted")
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_recording_goes_on_and_off_with_marks_and_setpoints_by_hand(served: Served) -> None:
     with SocketPage(served.address) as page:
         page.ask("record", on=True)
@@ -329,8 +302,6 @@ def test_recording_goes_on_and_off_with_marks_and_setpoints_by_hand(served: Serv
         assert log.metadata["parameters_changed"] == {"travel_kp": "0.65"}
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_second_program_joins_tunes_and_flies_once_it_is_let(served: Served) -> None:
     with SocketPage(served.address) as page, heli_host.join(served.address.program) as program:
         assert not program.flies
@@ -356,8 +327,6 @@ def test_a_second_program_joins_tunes_and_flies_once_it_is_let(served: Served) -
         program.wait_for_state(State.IDLE)
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_a_server_that_is_killed_is_a_missing_setpoint_and_the_board_lands(tmp_path: Path) -> None:
     with SilProcess(rig="makki2024", speed=1.0) as board:
         with page_process("--port", board.url, folder=tmp_path) as (server, url):
@@ -374,8 +343,6 @@ def test_a_server_that_is_killed_is_a_missing_setpoint_and_the_board_lands(tmp_p
             assert landed.trigger is Trigger.STALE_LAND
 
 
-@pytest.mark.slow
-@pytest.mark.xdist_group(REAL_TIME)
 def test_ctrl_c_at_the_server_lands(tmp_path: Path) -> None:
     with page_process("--sil", folder=tmp_path) as (server, url):
         parts = urlsplit(url)
@@ -429,7 +396,6 @@ def test_a_browser_that_takes_no_gzip_gets_plain_text() -> None:
     assert packed.headers["content-encoding"] == "gzip"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("package", pinned())
 def test_what_others_wrote_is_what_npm_has_under_the_pinned_hash(package: str) -> None:
     entry = pinned()[package]
