@@ -4,8 +4,6 @@ Gymnasium's own checker is the witness of the interface, `Plant.step` of the phy
 of the plant alone.
 """
 
-from __future__ import annotations
-
 import contextlib
 import copy
 import os

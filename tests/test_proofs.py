@@ -1,7 +1,5 @@
 """Every claim of firmware/proofs is proved, its mutants are refuted, and flights assert what it assumes."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.metadata
 import importlib.util

@@ -1,7 +1,5 @@
 """``python -m tests.bench``: measure everything, write bench.json, print a table."""
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import json

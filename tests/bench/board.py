@@ -1,7 +1,5 @@
 """Speed and cost of the board, simulated and emulated: flying, instructions, the line, logs, the plant."""
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import subprocess

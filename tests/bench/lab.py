@@ -1,7 +1,5 @@
 """Speed, memory and accuracy of the laboratory: identification, diagnosis, campaigns."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

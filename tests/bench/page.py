@@ -5,8 +5,6 @@ each line of standard input with one line. ``press`` stops by the socket of the 
 before that [s, monotonic]. ``gaps`` gives the number of ticks that the tabs missed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

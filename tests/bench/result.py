@@ -1,7 +1,5 @@
 """Measured numbers and their promised bounds."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

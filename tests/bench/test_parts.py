@@ -1,7 +1,5 @@
 """The bench measures what it is asked to, and goes on where something is not installed."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A campaign's file makes the cases that it states; complete results are stored, and cases have limits."""
 
-from __future__ import annotations
-
 import math
 import os
 import pickle

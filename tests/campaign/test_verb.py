@@ -1,7 +1,5 @@
 """The command, end to end: results, its page, failed cases, and what follows when it is killed."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """Cheap cases that a campaign can be killed in, and bad ones."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

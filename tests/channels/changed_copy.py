@@ -1,7 +1,5 @@
 """A copy of the sources with another declaration: generated, compiled, and run next to the real one."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

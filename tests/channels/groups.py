@@ -1,7 +1,5 @@
 """Telemetry channels in groups, for tests that make rows of raw numbers or take them apart."""
 
-from __future__ import annotations
-
 from heli_host.declaration import AXES, CHANNELS, Channel
 from heli_host.link.channels import ENCODERS
 

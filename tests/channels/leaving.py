@@ -4,8 +4,6 @@ Prints as JSON what was seen in flight, how often ``land`` was sent on leaving, 
 moment later.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from typing import Any

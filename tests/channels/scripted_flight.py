@@ -5,8 +5,6 @@ board sent: ``ticks.npz`` (tick and raw numbers by channel), ``flight.mcap``, an
 ``flight.mat`` and ``flight.parquet``.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ The native board is compiled once, from a copy of the sources with one channel m
 the end, and flown by the copy's host.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

@@ -4,8 +4,6 @@ Every way gives back what went in, under the names of the declaration. Run as a 
 into.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

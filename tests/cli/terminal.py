@@ -1,7 +1,5 @@
 """Runs ``heli-host`` in this process, and in one of its own where signals or limits are meant."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

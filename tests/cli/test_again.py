@@ -1,7 +1,5 @@
 """``fly --again``: a simulated flight is repeated from its log alone, or one line says what the log lacks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A blind flight and a blind export give nothing away, and their seal settles the answer beforehand."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import contextlib

@@ -1,7 +1,5 @@
 """Every verb has readable help, names one board, writes JSON, serves this machine only and imports little."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

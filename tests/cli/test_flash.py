@@ -1,7 +1,5 @@
 """``heli-host flash``: the real path, a stand-in for ``bossac``, and a simulated board behind a real port."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import struct

@@ -1,7 +1,5 @@
 """Flights from the command line: what they leave, how they are interrupted, and which board and rig flies."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty

@@ -1,7 +1,5 @@
 """Files of others: read in any encoding; one line, bounded time and memory for each that is hostile."""
 
-from __future__ import annotations
-
 import codecs
 import gzip
 import os

@@ -1,7 +1,5 @@
 """No verb replaces a file that the program did not write, and an interrupted one leaves the old file."""
 
-from __future__ import annotations
-
 import errno
 import gzip
 import json

@@ -1,7 +1,5 @@
 """Wrong input: one line that says what and what to do, an exit code that is not zero, and nothing written."""
 
-from __future__ import annotations
-
 import errno
 import os
 import random

@@ -1,7 +1,5 @@
 """`heli-host rig`: numbers with unit, tolerance and source; a rig that cannot be is refused by name."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

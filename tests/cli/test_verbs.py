@@ -1,7 +1,5 @@
 """Each verb that does not fly a plan; `watch` moves nothing, and `motors` leaves everything off."""
 
-from __future__ import annotations
-
 import contextlib
 import fcntl
 import os

@@ -1,8 +1,6 @@
 """A stand-in for ``bossac``: prints its version, writes its arguments to a file, and ends as the test
 demands."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

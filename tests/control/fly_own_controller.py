@@ -1,7 +1,5 @@
 """Flies the second controller of a board and prints what it did, as JSON; see test_own_controller.py."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

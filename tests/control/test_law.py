@@ -1,7 +1,5 @@
 """Fixed-point numbers, control law and shaping against references in double precision."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Your own compiled controller: the steps of firmware/examples/README.md, done to a copy, built and flown."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The core flies the controller that is selected, through the interface alone, and trusts none."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

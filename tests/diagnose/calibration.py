@@ -10,8 +10,6 @@ All flights are simulated here from development seeds, which judge nothing. Resu
 and a run continues where the last one stopped.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

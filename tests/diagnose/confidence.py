@@ -10,8 +10,6 @@ The limits for causes that are not confirmed, in `heli_lab.explain.thresholds`, 
 last one stopped.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Simulated flights with hidden effects, which are stored so that all tests share them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path

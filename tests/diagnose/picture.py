@@ -3,8 +3,6 @@
 FOLDER is that of ``heli-host diagnose --report``, with the flights of docs/how-to/diagnosing.md.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

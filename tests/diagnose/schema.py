@@ -1,7 +1,5 @@
 """Checks the JSON of a diagnosis: keys, types and units that docs/reference/json.md promises."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -8,8 +8,6 @@ has, and none; some under disturbances.
 Results are appended to a file, and a run continues where the last one stopped.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib.util
 import json

@@ -1,7 +1,5 @@
 """The command that calibrates two thresholds uses development seeds, and counts true names alone as true."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command `heli-host diagnose`: the files that it writes, and its one-line errors."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Terms of a proposed law are the same in all their notations, and their units fit together."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Plans of proposed experiments."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

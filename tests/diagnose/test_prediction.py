@@ -1,7 +1,5 @@
 """Another flight of a rig: its zeros and torques from its beginning, its rest predicted at three horizons."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Figures are the same in either process, and none is lost when the drawing process dies."""
 
-from __future__ import annotations
-
 import base64
 import os
 import signal

@@ -1,7 +1,5 @@
 """A remainder is unexplained only if it is no error of a parameter, and if it changes a prediction."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Spline terms: their basis, and the channels and quantities that are tried."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Acceptance of candidates: friction and play that no score shows, and sizes that the Wald test misses."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A log that is slower than the control loop has samples of the voltages: the flights show when they act."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache

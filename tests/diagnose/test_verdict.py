@@ -1,7 +1,5 @@
 """Effects that flights hardly distinguish have one comparable number, whatever their equation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

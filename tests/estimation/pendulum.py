@@ -1,7 +1,5 @@
 """Oracles and machines for the estimation core: the normal density written out, flights, and a pendulum."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache

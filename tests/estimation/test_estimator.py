@@ -1,7 +1,5 @@
 """Estimates of parameters and disturbances, from simulated flights whose true values are known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The expression VM, which evaluates CasADi functions along trajectories, agrees with CasADi itself."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

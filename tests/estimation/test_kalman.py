@@ -4,8 +4,6 @@ All states and outputs of a short flight are jointly normal. The tests write the
 independent variables, and compute conditional means and covariances directly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The model, linearised along a filtered trajectory, agrees with the model itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Levenberg-Marquardt iteration, tested on the Rosenbrock function, whose minimum is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -2,8 +2,6 @@
 leaves linear algebra one thread.
 """
 
-from __future__ import annotations
-
 import platform
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Diagnoses of the practice and field cases: ``python -m tests.field``."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

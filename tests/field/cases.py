@@ -1,7 +1,5 @@
 """Cases outside of the project: the content of their truth files, and whether an answer is right."""
 
-from __future__ import annotations
-
 import math
 import re
 import tomllib

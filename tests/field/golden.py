@@ -6,8 +6,6 @@ change of the method must say why it does; ``--record`` writes the new results. 
 only, no row of a flight.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys

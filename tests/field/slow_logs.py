@@ -7,8 +7,6 @@ motors. Seeds 9000 to 9099 are for development. Seeds 9100 to 9159 and 9340 to 9
 9219 and 9400 to 9459 (one cause), judge.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

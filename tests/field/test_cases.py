@@ -1,7 +1,5 @@
 """The cases outside of the project are read as they are written, and judged as their README demands."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Callable

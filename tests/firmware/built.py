@@ -1,7 +1,5 @@
 """The linked firmware, built once for all workers and runs; make builds again only what is out of date."""
 
-from __future__ import annotations
-
 import fcntl
 import functools
 import os

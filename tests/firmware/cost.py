@@ -4,8 +4,6 @@ Command line: ``python -m tests.firmware.cost ELF`` prints a table. Counts are e
 interrupt's are its own, without those of a more urgent one that came in between.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import subprocess

@@ -1,7 +1,5 @@
 """Behaviour of the firmware on the emulated board."""
 
-from __future__ import annotations
-
 import itertools
 import struct
 from pathlib import Path

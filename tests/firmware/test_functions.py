@@ -1,7 +1,5 @@
 """Single functions of the firmware with any argument, and power lost while parameters are saved."""
 
-from __future__ import annotations
-
 import ctypes
 import random
 import re

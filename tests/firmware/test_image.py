@@ -1,7 +1,5 @@
 """The linked firmware keeps its bounds; a board with other wiring flies with its own pins.toml."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 import subprocess

@@ -5,8 +5,6 @@ firmware's sources. Flights show most of these settings, but not all: an input i
 its pin is given to, and an interrupt priority shows only if two interrupts meet.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Whatever happens to program or power, the bridges go off in time, and the host gets the reason."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Callable
 from pathlib import Path

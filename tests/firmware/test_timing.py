@@ -1,7 +1,5 @@
 """The firmware and time: ticks missed and late, wake-ups, the watchdog, clocks, the first microseconds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from heli_host.board.heli import Heli

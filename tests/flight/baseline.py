@@ -5,8 +5,6 @@ code leaves every bit that the board sends as it was. After an intended change, 
 difference: ``python -m tests.flight.baseline``.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import struct

@@ -1,7 +1,5 @@
 """Boards that tests of the flight code begin with."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.flight.harness import Harness

@@ -1,7 +1,5 @@
 """The flight code with encoders, clock and serial line in the test's hands."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """The scripts whose outcome is recorded, by name. Each reaches another part of the flight code."""
 
-from __future__ import annotations
-
 import math
 import random
 import struct

@@ -4,8 +4,6 @@ A script is a function of its seed alone. Its arm needs no library of functions:
 same numbers.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """The board behaves as it did when its behaviour was recorded, to the bit."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.flight import baseline

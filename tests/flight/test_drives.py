@@ -1,7 +1,5 @@
 """Which drives must move an axis: on the table, across zero, on a bench, on another board."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Who may start the motors, what stops them, when, and what a fault states."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

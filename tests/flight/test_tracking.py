@@ -1,7 +1,5 @@
 """An axis that does not follow, or does not count when it is driven, is a fault by its own name."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from typing import Any, NamedTuple

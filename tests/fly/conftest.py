@@ -1,7 +1,5 @@
 """Connected boards: one that is simulated in lockstep, and one behind a pseudo-terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

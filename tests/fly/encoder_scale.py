@@ -5,8 +5,6 @@ does not state, under disturbances of three strengths. The judge uses the nomina
 nominal rig hide an effect of the catalogue or a wrong supply: their encoders are right.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import tempfile

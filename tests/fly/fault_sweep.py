@@ -4,8 +4,6 @@
 ``python -m tests.fly.fault_sweep healthy`` flies rigs on which nothing fails, and prints false alarms.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import itertools

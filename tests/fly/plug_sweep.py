@@ -4,8 +4,6 @@
 measures how soon a dead encoder is noticed.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from collections import Counter

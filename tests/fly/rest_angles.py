@@ -1,7 +1,5 @@
 """Compare the angles at rest around healthy flights with each effect: ``python -m tests.fly.rest_angles``."""
 
-from __future__ import annotations
-
 import argparse
 from typing import Final
 from urllib.parse import quote

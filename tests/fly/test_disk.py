@@ -1,7 +1,5 @@
 """The disk is not in the control path: whatever it does, the board knows where to fly, and lands in order."""
 
-from __future__ import annotations
-
 import errno
 import io
 import re

@@ -1,7 +1,5 @@
 """A finished flight says which encoder counts otherwise than the rig's model predicts, and is else silent."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

@@ -1,7 +1,5 @@
 """How a flight ends: landed from any state, complete only as planned, at rest as before, or restarted."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Faults: the table of the documents, a share of the sweep, and healthy flights that show no fault."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plans are read strictly, checked against the board before anything moves, and evaluate as written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A flight follows its plan, always comes down, and always leaves a log that says what happened."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

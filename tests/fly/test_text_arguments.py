@@ -1,7 +1,5 @@
 """Every text argument of the public interface that has a set of values is checked before anything flies."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import re

@@ -3,8 +3,6 @@
 Each rig hovers in simulation, with the check and without it (`travel_silence_s` = 0).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 

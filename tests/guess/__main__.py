@@ -1,7 +1,5 @@
 """Guess two hundred distorted flights: ``python -m tests.guess``."""
 
-from __future__ import annotations
-
 import argparse
 import collections
 import sys

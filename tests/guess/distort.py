@@ -1,7 +1,5 @@
 """Flights written as other people write them, from a seed, and whether a guess of them is silently wrong."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Forms in which courses and programs write such flights, and the entries that a guess of them has wrong."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Flights with a known truth: simulated with our controller and with those of other courses, and measured."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

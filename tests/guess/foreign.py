@@ -1,7 +1,5 @@
 """Raw files as the repositories of other courses hold them, drawn from a seed, with their true profiles."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Grade guesses of raw files of other repositories: ``python -m tests.guess.grade``."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

@@ -1,7 +1,5 @@
 """Names decide which column is which; the motion confirms them, and proposes columns without names."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

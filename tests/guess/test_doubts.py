@@ -1,7 +1,5 @@
 """Doubts name the other value of what a file does not decide; entries that the user knows stay."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

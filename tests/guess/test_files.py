@@ -1,7 +1,5 @@
 """Imported flights get names of their own, and replace only flights of the same source."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

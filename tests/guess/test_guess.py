@@ -1,7 +1,5 @@
 """A guess is right, or says what it is unsure of; a log without names is proposed right, and never sure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

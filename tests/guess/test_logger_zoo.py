@@ -1,7 +1,5 @@
 """Log files of drawn loggers are imported right, or questioned or refused for the right reason."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

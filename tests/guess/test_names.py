@@ -1,7 +1,5 @@
 """Names of columns in several languages, and what they mean."""
 
-from __future__ import annotations
-
 import pytest
 from heli_lab.setup.guess.names import (
     VOLTAGE_ROLES,

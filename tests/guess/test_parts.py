@@ -1,7 +1,5 @@
 """A guess doubts a change within a file, because a profile has one entry for all parts of the file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

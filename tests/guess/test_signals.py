@@ -1,7 +1,5 @@
 """Signals are low-passed as the literature's filter does it, the clock is found, and jumps end a part."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Wrong signs and zeros are named before anything is fitted, and nothing else is."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

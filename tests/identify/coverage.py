@@ -5,8 +5,6 @@ built-in plan `identify` on this rig, and a second flight that no fit uses. `mak
 fifty rigs, a test for a few.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

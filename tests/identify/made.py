@@ -1,7 +1,5 @@
 """Flights of the simulated board on rigs whose parameters only the test knows."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """`heli-host identify`: flights in, a rig that flies out, with a page and numbers."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Records for fitting, and free runs: cuts, initial states, and derivatives."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A fit finds the true parameters, predicts a held-out flight, and refuses unexplained sensor noise."""
 
-from __future__ import annotations
-
 import functools
 import math
 import pickle

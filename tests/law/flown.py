@@ -1,7 +1,5 @@
 """Flights of laws on simulated boards, and the same flights replayed on the host."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 Command line: ``python -m tests.law.hostile FIRST LAST`` flies every law on every rig with these seeds.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

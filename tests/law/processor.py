@@ -3,8 +3,6 @@
 Command line: ``python -m tests.law.processor ELF`` prints what each operation costs at most.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path

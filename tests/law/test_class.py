@@ -1,7 +1,5 @@
 """A class of submissions is marked: each is answered, and a hostile one costs its own mark only."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """The declared costs of its operations bound the cost of a program, and the bound is tight."""
 
-from __future__ import annotations
-
 import subprocess
 from pathlib import Path
 from shutil import copytree

@@ -1,7 +1,5 @@
 """A law's file: each mistake is one line with its remedy, a stranger's file is fenced, and it gets a rig."""
 
-from __future__ import annotations
-
 import os
 import sys
 import time

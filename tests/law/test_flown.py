@@ -1,7 +1,5 @@
 """Laws fly on the board, and a flight's log says bit for bit what they did."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

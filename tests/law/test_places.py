@@ -1,7 +1,5 @@
 """One law, four places: numpy, over the link, a tape on the board, and C."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import shutil

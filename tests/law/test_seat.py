@@ -1,7 +1,5 @@
 """Guarantees for a law that flies on the board, whatever the host demands meanwhile."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The board's end of an open link; and a fake board, a line to it, and a host that is connected by it."""
 
-from __future__ import annotations
-
 import pytest
 from heli_host.board.heli import Heli
 from heli_host.link.session import Session

@@ -1,7 +1,5 @@
 """The board's end of the link by itself: Python plays both the host and the control tick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Protocol
 

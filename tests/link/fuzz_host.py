@@ -3,8 +3,6 @@
 ``python -m tests.link.fuzz_host 1000000`` sends so many and says what broke; ``make fuzz`` does it.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 import sys

@@ -3,8 +3,6 @@
 The witness for heli_host.link: it shares no line, no table and no library with it.
 """
 
-from __future__ import annotations
-
 import re
 import struct
 from pathlib import Path

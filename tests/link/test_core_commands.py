@@ -1,7 +1,5 @@
 """The board's answer to each command and stream, and its session: a command takes effect exactly once."""
 
-from __future__ import annotations
-
 import math
 import struct
 from typing import Any

@@ -1,7 +1,5 @@
 """The board's codec against zlib, cobs and a slow witness; its parser under damage; its telemetry."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import zlib

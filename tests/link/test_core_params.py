@@ -1,7 +1,5 @@
 """The board's parameters: only declared values, and one whole set in the flash after any power cut."""
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """A live viewer gets every tick of the board by Foxglove's protocol, and can do nothing but read."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket

@@ -1,7 +1,5 @@
 """The host's protocol without a port: frames, telemetry against a slow witness, clock, events, any bytes."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import replace

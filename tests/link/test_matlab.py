@@ -3,8 +3,6 @@
 It runs in Octave with the package instrument-control, because MATLAB is not available here.
 """
 
-from __future__ import annotations
-
 import functools
 import os
 import random

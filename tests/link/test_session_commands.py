@@ -1,7 +1,5 @@
 """A session: greeting with a deadline, commands executed once, streams kept fresh, losses counted."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

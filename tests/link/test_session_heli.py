@@ -1,7 +1,5 @@
 """The interface that people use: degrees, names, one-line errors, and files of parameters."""
 
-from __future__ import annotations
-
 import inspect
 import math
 import re

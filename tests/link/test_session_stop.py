@@ -1,7 +1,5 @@
 """A stop reaches the board whatever the line, the port and other threads do."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

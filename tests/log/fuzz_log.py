@@ -3,8 +3,6 @@
 ``python -m tests.log.fuzz_log 4000`` damages one log so often and says what broke; ``make fuzz`` does it.
 """
 
-from __future__ import annotations
-
 import random
 import struct
 import sys

@@ -1,7 +1,5 @@
 """Flights made by formula, for tests that need samples but no board."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A disk that is full, slow or gone delays nobody and loses nothing in silence; no log is written over."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

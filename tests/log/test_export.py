@@ -1,7 +1,5 @@
 """Exports read by other programs, ROS 2 among them, and comparisons of flights."""
 
-from __future__ import annotations
-
 import json
 import math
 import re

@@ -1,7 +1,5 @@
 """A log keeps what was flown, through a kill, a full disk and damage; what is read is never wrong."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """Tables: every measured flight reads, others are refused with the place; and the views of a notebook."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import subprocess

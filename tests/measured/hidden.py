@@ -5,8 +5,6 @@ the middle of the part that flies. Diagnoses are kept for as long as the code th
 an interrupted run continues.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """The measured pairs, and models with given effects."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -9,8 +9,6 @@ pitch at 50 degrees. Even a fit to the predicted flight itself has errors of 2.2
 effects that the baseline lacks reduce them, and no choice of parameters, weights or windows.
 """
 
-from __future__ import annotations
-
 import pytest
 from heli_host.data.log.reader import read_flight
 from heli_lab.fit.identification import identify

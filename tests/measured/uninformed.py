@@ -8,8 +8,6 @@ ways to leave it at its prior are compared with the fit itself, 1 s ahead on the
 - ``directions``: combinations of parameters that the flights do not inform get the prior's mean.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

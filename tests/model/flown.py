@@ -4,8 +4,6 @@ The flight code flies a rig with one effect of typical size; the log is fitted b
 number of the rig free and the effect started at half its size.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Effects as people write them: on a command line, in a rig's file, in a file of their own."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import subprocess

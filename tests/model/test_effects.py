@@ -1,7 +1,5 @@
 """Effects do what their sentence says, and nothing at their neutral values, alone and together."""
 
-from __future__ import annotations
-
 import itertools
 from functools import cache
 from statistics import NormalDist

@@ -1,7 +1,5 @@
 """Effects against MuJoCo, where each is made by MuJoCo's own means and not by our equations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """FMUs: FMPy, an importer that knows nothing of ours, validates, drives and compiles them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

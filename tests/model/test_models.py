@@ -1,7 +1,5 @@
 """Models against the paper's numbers, MuJoCo, and finite differences of their symbols."""
 
-from __future__ import annotations
-
 import functools
 import xml.etree.ElementTree as ET
 from dataclasses import replace

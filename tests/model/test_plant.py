@@ -1,7 +1,5 @@
 """The compiled millisecond against closed forms, energy and another integrator; the cache of libraries."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 import os

@@ -1,7 +1,5 @@
 """Rigs and effects simple enough to have exact solutions."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import numpy.typing as npt

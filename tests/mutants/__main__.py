@@ -1,7 +1,5 @@
 """``python -m tests.mutants``: change the firmware a little and report which changes no test notices."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Mutants of ``firmware/core``, against the tests that run the flight code on this computer."""
 
-from __future__ import annotations
-
 import fcntl
 import json
 import os

@@ -1,7 +1,5 @@
 """Mutants of ``firmware/due``, against the tests that run the firmware on the emulated Due."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import re

@@ -4,8 +4,6 @@ Changes are found in the text and not in a syntax tree. The sources are formatte
 relies on: a relation has spaces around it, the bracket of a template has none.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import re

@@ -1,7 +1,5 @@
 """Result of each mutant, saved between runs, their table, and mutants that no test can notice."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from collections import Counter, defaultdict

@@ -5,8 +5,6 @@ them in the drivers. Each runs against its test only: this needs no coverage map
 The sources decide which run: every change of the firmware is tried with others.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import tempfile

@@ -3,8 +3,6 @@
 The process is a fork of one that has imported what does not depend on that build, which takes a second.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import importlib

@@ -1,7 +1,5 @@
 """Mutants are made where they mean something, keep their identity, and die."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

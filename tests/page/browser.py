@@ -1,7 +1,5 @@
 """Chromium for tests, where the system has one: it draws in software, and reaches this machine only."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import time

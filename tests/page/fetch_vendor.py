@@ -3,8 +3,6 @@
 ``python tests/page/fetch_vendor.py``: needed only when a version in ``vendor.toml`` changes.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 import hashlib

@@ -1,7 +1,5 @@
 """Every request that a page's server knows, and values that no honest client sends, from a seed."""
 
-from __future__ import annotations
-
 import math
 import random
 import socket

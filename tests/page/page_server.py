@@ -1,7 +1,5 @@
 """A page's server over a simulated board, or over a source without one, and a page without a browser."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import logging

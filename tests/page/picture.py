@@ -1,7 +1,5 @@
 """``python -m tests.page.picture [FOLDER]``: take the pictures of docs/how-to/dashboard.md."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory

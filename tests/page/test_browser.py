@@ -1,7 +1,5 @@
 """The page in Chromium: flown, stopped by each way, handed over, lost; nothing asked of any other machine."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

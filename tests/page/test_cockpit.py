@@ -1,7 +1,5 @@
 """The cockpit: its board, causes, pilot and law; and telemetry, of which every reader gets every row."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

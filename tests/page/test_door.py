@@ -1,7 +1,5 @@
 """Any message to the server of the page gets one line as answer, and no client misses the status."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

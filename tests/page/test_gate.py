@@ -1,7 +1,5 @@
 """The stop has a thread of its own, and what clients send is limited before it is decoded or queued."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import random

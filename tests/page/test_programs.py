@@ -1,7 +1,5 @@
 """Programs join a page: any value gets an answer or an error of one line; the ROS 2 bridge publishes."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import re

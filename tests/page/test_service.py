@@ -1,7 +1,5 @@
 """The page's server: who is let in, who flies, what is shown and served, and what a stop does."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import signal

@@ -3,8 +3,6 @@
 An arm whose masses balance above its table is held there while the motors are off, and no other arm is.
 """
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

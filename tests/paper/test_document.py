@@ -1,7 +1,5 @@
 """Every number in the printed blocks of docs/validation/paper.md is what the commands print today."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

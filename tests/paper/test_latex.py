@@ -1,7 +1,5 @@
 """The LaTeX of a model says what the model computes, and can be drawn."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

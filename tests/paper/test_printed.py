@@ -1,7 +1,5 @@
 """The equations as printed, an axis that is locked, and the readings of Table 6."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """With what Windows lacks hidden, a board is flown over TCP, and errors say what to do."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -4,8 +4,6 @@ Prints how they fall with the root of the number of flights, for parameters that
 how often the true value is within two of them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ errors over 2 s. The true population, with the standard deviation between its ri
 pooling can reach.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """Diagnoses are read and pooled, and give a prior for another rig; further flights lower standard errors."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

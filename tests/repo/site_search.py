@@ -7,8 +7,6 @@ index and the order of results are those of Sphinx's searchtools.js: a page hold
 knows; titles count more than text; a heading that contains the whole query counts most.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys

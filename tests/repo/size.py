@@ -2,8 +2,6 @@
 ``python -m tests.repo.size entered -- ARGUMENTS`` counts the files that a command of ``heli-host`` enters.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import subprocess

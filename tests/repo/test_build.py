@@ -1,7 +1,5 @@
 """Installation, targets of the Makefile, a release, and the run of all tests next to the checks."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

@@ -6,8 +6,6 @@ a class of these packages, a number whose name ends in a unit, a path, a seed. E
 enough; `ruff` requires it.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import re

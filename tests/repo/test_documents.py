@@ -9,8 +9,6 @@ A check of a notebook fails without its result. Notebooks run twice, all in one 
 source, and nbgrader makes one of the other.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """The contracts of layers hold and notice what breaks them: of packages, C++ folders, and tests."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

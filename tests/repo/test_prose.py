@@ -1,7 +1,5 @@
 """The check of words and sentences sees what it is there for, and accepts good sentences."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

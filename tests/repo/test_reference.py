@@ -1,7 +1,5 @@
 """Pages of the reference agree with the code: glossary, faults, hardware, and what is generated."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import pty

@@ -1,7 +1,5 @@
 """The site: its contents reach every page, it builds without a warning, and its search answers questions."""
 
-from __future__ import annotations
-
 import os.path
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Files and folders say what they are, names state what things are, and nothing depends on one machine."""
 
-from __future__ import annotations
-
 import ast
 import re
 import tomllib

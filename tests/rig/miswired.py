@@ -1,7 +1,5 @@
 """Simulated rigs with wrong wires, and their calibration by a simulated hand."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """A simulated hand calibrates rigs with wrong wires; unclear movements are refused; all ends at 0 V."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Encoders in a rig file: counts and direction of each, the form of older files, and a board with them."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

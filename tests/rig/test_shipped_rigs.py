@@ -1,7 +1,5 @@
 """A rig file is complete, and the claims of each shipped rig follow from its parameters."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

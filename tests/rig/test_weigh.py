@@ -1,7 +1,5 @@
 """Bench tests of a rig that MuJoCo swings, read as a person reads them, find the numbers that were hidden."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

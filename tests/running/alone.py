@@ -1,7 +1,5 @@
 """Threads and CPU time of a process that shares the cores with others."""
 
-from __future__ import annotations
-
 import os
 import resource
 import time

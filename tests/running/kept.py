@@ -5,8 +5,6 @@ files of the packages involved, extensions, helpers of the tests, and versions o
 on purpose. Any edit in those packages makes the result again, and nobody has to decide which edit matters.
 """
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import importlib.metadata

@@ -1,7 +1,5 @@
 """Share of the samples of a claim that runs in ``make test``; ``make long`` runs all."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence

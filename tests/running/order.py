@@ -12,8 +12,6 @@ CPU time in the last run here, else a guess from its markers.
 At the end, a run prints its CPU time and lists tests that take more than their markers permit.
 """
 
-from __future__ import annotations
-
 import re
 import time
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Measures of a picture, for tests of figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Final
 

@@ -5,8 +5,6 @@ little cost: ``python -m tests.running.stalls 1 .venv/bin/python -m pytest -n 2 
 depends on the load of the machine. Linux only.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import random

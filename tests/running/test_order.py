@@ -1,7 +1,5 @@
 """Order and cost of tests, shares of samples, kept results, measures of pictures, and stalls of processes."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable

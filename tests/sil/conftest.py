@@ -1,7 +1,5 @@
 """The flight code's ELF, built once for this room."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

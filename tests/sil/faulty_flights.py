@@ -4,8 +4,6 @@ What is true is read off the line before its faults spoil it, where the board wa
 out, it is what was done to the board.
 """
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """The two boards: the same flights, the same rig parameters, and what only the emulated Due shows."""
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib

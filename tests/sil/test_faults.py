@@ -1,7 +1,5 @@
 """Faults of link and rig are repeatable, counted, and as planned; flights in which something fails."""
 
-from __future__ import annotations
-
 import os
 import pty
 import threading

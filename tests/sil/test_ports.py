@@ -1,7 +1,5 @@
 """A simulated port is opened, closed, pulled out and left unread as a real one; control lines and TCP."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

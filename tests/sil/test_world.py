@@ -1,7 +1,5 @@
 """The simulated board behaves like a board; clocks, transport in process, and in a process of its own."""
 
-from __future__ import annotations
-
 import os
 import select
 import signal

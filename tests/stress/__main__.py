@@ -1,7 +1,5 @@
 """``python -m tests.stress soak|attack|flood``: campaigns that anybody can repeat from a seed."""
 
-from __future__ import annotations
-
 import argparse
 
 from tests.stress.attack import ATTACKS, attack

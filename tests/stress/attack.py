@@ -4,8 +4,6 @@
 seed is always the same attack; those over a port or a socket also depend on the computer's timing.
 """
 
-from __future__ import annotations
-
 import random
 import tempfile
 import time

@@ -4,8 +4,6 @@
 follows after the server has sent the stop to the board: over a new connection (POST) and over an open socket.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import socket

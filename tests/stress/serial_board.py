@@ -1,7 +1,5 @@
 """A simulated board behind a pseudo-terminal, and the truth about what reached it and what its motors did."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

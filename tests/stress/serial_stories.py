@@ -4,8 +4,6 @@
 number is always the same story; the computer's own timing differs from run to run, and so may its course.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import json

@@ -1,7 +1,5 @@
 """A small share of the campaigns, and what they would complain about."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Small files that unpack to gigabytes: refused in one line, within a stated memory."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

@@ -1,7 +1,5 @@
 """A profile survives its file, and makes flights of tables."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

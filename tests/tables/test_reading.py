@@ -1,7 +1,5 @@
 """Every kind of file gives the same columns."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """No row of a file is dropped, filled or moved without a word, whatever happened to its clock and lines."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ no log, and flies the flight code behind the simulated line, as any host does. I
 than real time, so that a claim may be about hundreds of flights.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import functools

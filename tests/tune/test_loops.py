@@ -1,7 +1,5 @@
 """Margins are what they say, and `heli-host tune` writes gains for any rig."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

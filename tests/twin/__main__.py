@@ -4,8 +4,6 @@ Each rig flies unchanged and with a change. The command prints the tables of doc
 writes its results to a file after each step, and continues from that file after an interruption.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import math

@@ -5,8 +5,6 @@ its twin is trained on the same flight. The twin then monitors the other flight:
 a simulated loss in its second half. Each flight of a pair serves once for training.
 """
 
-from __future__ import annotations
-
 import argparse
 import warnings
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Random rigs under disturbances, each with a twin that a user could train: from two flights of the rig."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """The twin's filter, and the evidence that it gives: logarithms of ratios of Gaussian likelihoods."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import cache

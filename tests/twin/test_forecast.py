@@ -1,7 +1,5 @@
 """Forecasts from the present state, the parts of their errors, and the errors that a saved rig states."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import replace

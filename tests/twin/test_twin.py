@@ -1,7 +1,5 @@
 """A twin detects, names and measures a change, in flight and afterwards, and lands the rig; its files."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cache

@@ -4,8 +4,6 @@ Each rig has gusts and an effect. The diagnosis does not get the listed effect, 
 the case says otherwise. The true part of the disturbances is the forecast error of the true rig.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

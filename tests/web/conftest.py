@@ -1,7 +1,5 @@
 """The WebAssembly module, and the program that runs JavaScript."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The page as one file with all that it offers and a short plan, for every test that opens it."""
 
-from __future__ import annotations
-
 import importlib.util
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Records a simulation, or the protocol of a session, call by call, so that JavaScript can repeat it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import subprocess

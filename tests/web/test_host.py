@@ -1,7 +1,5 @@
 """The boards in WebAssembly send the bytes of the native build; the small host, the frames of heli_host."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The page in Chromium, from a file and with the network off: flown, stopped, saved, replayed, attacked."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Skips this folder where the emulator is not built, and builds programs for it."""
 
-from __future__ import annotations
-
 import importlib.util
 
 from due_chip import build

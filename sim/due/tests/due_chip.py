@@ -1,7 +1,5 @@
 """A chip with short programs that drive its peripherals, and the compiled C programs."""
 
-from __future__ import annotations
-
 import shutil
 import struct
 import subprocess

@@ -3,8 +3,6 @@
 ``python sim/due/tests/fetch_svd.py [FOLDER]``: 35 MB once, into ``build/svd`` unless a folder is given.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The converters and the random number generator (sections 43, 44 and 42)."""
 
-from __future__ import annotations
-
 import pytest
 from due_chip import RAM, Chip
 from due_emulator import Stop

@@ -1,7 +1,5 @@
 """Oscillators, PLLA, watchdog, resets, timer counters, quadrature decoder (sections 14 to 17, 28, 36)."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

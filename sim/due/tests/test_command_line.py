@@ -1,7 +1,5 @@
 """``python -m due_emulator``, the GDB server, and what can be measured."""
 
-from __future__ import annotations
-
 import shutil
 import socket
 import struct

@@ -1,7 +1,5 @@
 """The interpreter against unicorn after every instruction, and exceptions against the architecture manual."""
 
-from __future__ import annotations
-
 import os
 import random
 import struct

@@ -1,7 +1,5 @@
 """Flash: page programming, its time, its errata, and power lost half way (section 18)."""
 
-from __future__ import annotations
-
 import struct
 
 import pytest

@@ -1,7 +1,5 @@
 """PIO and PWM: pull-ups, edges, wires, duty and faults (sections 31 and 38)."""
 
-from __future__ import annotations
-
 import pytest
 from due_chip import FULL_HZ, Chip
 from due_emulator import Stop

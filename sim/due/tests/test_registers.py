@@ -1,7 +1,5 @@
 """Registers against the vendor's description, and programs in plain C as on a desk."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

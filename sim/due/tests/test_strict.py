@@ -1,7 +1,5 @@
 """Strict mode says what, where and who; lenient mode warns once, and ends a program that waits in vain."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 import sys

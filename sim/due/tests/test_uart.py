@@ -1,7 +1,5 @@
 """UART0, the bridge to USB, and the clock of the USB port (sections 26, 34 and 28)."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

@@ -4,8 +4,6 @@ A field is a letter; its bits may be scattered over the two halfwords. `ok` name
 architecture manual defines: everything else is UNPREDICTABLE and not generated.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ Bayes over the distinct values of each feature, judged on cases that it was not 
 permuted to find how well it does by chance.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """A split of a few cases with flights of a second, for tests of formats, runs and scores."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

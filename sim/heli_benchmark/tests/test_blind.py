@@ -4,8 +4,6 @@
 all of these cases as they are. All cases: `make blind`.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The cases hide what they say, in flights that can be flown; the logger zoo notices each mistake."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Rules for right answers and misses, and calibration."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path

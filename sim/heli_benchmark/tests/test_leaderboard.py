@@ -1,7 +1,5 @@
 """Scores of the published benchmark, and the processes with limits in which methods run."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

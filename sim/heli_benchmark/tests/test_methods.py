@@ -1,7 +1,5 @@
 """Methods of the published benchmark: the shared terms, and the selection among them."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

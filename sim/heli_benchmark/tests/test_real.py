@@ -1,7 +1,5 @@
 """Known effects, hidden in a log: what the log then shows, and how a diagnosis of it is judged."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The published benchmark: its format, its draws, its sealed splits, and a whole split from draw to table."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections import Counter

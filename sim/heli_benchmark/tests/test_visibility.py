@@ -1,7 +1,5 @@
 """Disturbances, and the visibility of a cause in standard deviations of the disturbances."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from functools import cache

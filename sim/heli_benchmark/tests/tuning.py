@@ -4,8 +4,6 @@
 case what does not depend on its constant.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from importlib import import_module

@@ -8,8 +8,6 @@
 The rules are in words.toml, the exceptions with their reasons in exceptions.toml.
 """
 
-from __future__ import annotations
-
 import argparse
 import re
 import sys

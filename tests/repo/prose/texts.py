@@ -1,7 +1,5 @@
 """Where people read text of this project, and the text itself: documents, docstrings, help, messages."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import io
