@@ -41,16 +41,16 @@ const std::vector<Edge>& Encoders::edges() {
     if (from == to) continue;
     const bool upwards = to > from;
     // Negative when the position falls, as the differences of counts below are.
-    const double us_per_count =
-        static_cast<double>(heli::link::kTick_us) / (position_count_[axis] - previous_count_[axis]);
+    const double moved_count = position_count_[axis] - previous_count_[axis];
     const auto axis_index = static_cast<std::uint8_t>(axis);
     // Upwards the count changes when the position reaches a whole number, downwards when it falls
     // below one.
     const std::int64_t first = upwards ? from + 1 : to + 1;
     const std::int64_t last = upwards ? to : from;
     for (std::int64_t edge_count = first; edge_count <= last; ++edge_count) {
-      const double time_us =
-          (static_cast<double>(edge_count) - previous_count_[axis]) * us_per_count;
+      const double passed_count = static_cast<double>(edge_count) - previous_count_[axis];
+      // Divided first: the inverse of the smallest movement is infinite.
+      const double time_us = passed_count / moved_count * heli::link::kTick_us;
       // Within the millisecond of 1000 us, also after rounding.
       edges_.push_back({std::clamp(time_us, 0.0, 999.999), axis_index,
                         static_cast<std::int8_t>(upwards ? 1 : -1)});
