@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,14 @@ from heli_host.errors import FlightDataError
 from heli_lab.setup.guess import Guess
 from heli_lab.setup.guess.columns import ColumnOptions, column_options, prepare_file
 from heli_lab.setup.guess.motion import reference_of
-from heli_lab.setup.guess.names import AXES, PAIR, is_time, meaning_of
+from heli_lab.setup.guess.names import AXES, PAIR
 from heli_lab.setup.guess.propose import propose
 from heli_lab.setup.guess.result import NOTHING_KNOWN, KnownEntries, read_known
 from heli_sim.rig import load_rig
 
 from tests.guess.flights import piloted
+
+pytestmark = pytest.mark.medium
 
 RIG = load_rig("quanser-course")
 REFERENCE = reference_of(RIG)
@@ -32,63 +35,6 @@ def test_a_header_that_a_profile_contradicts_is_reported() -> None:
     assert known.contradicted_headers(table) == [
         "pitch: in rad, as p states, although the header of 'pitch [deg]' states deg"
     ]
-
-
-@pytest.mark.parametrize(
-    ("name", "role"),
-    [
-        ("Høyde (grader)", "elevation"),
-        ("Höhenwinkel [°]", "elevation"),
-        ("Élévation", "elevation"),
-        ("高度角(°)", "elevation"),
-        ("cabeceo", "pitch"),
-        ("俯仰角", "pitch"),
-        ("pitch_real_data", "pitch"),
-        ("Vandring", "travel"),
-        ("旋转角", "travel"),
-        ("Moteur arrière [V]", "back"),
-        ("前电机", "front"),
-        ("v_delantero", "front"),
-        ("cmd_front", "front"),
-        ("V_s", "sum"),
-        ("u2", ""),
-        ("x3", ""),
-    ],
-)
-def test_a_name_states_a_role(name: str, role: str) -> None:
-    meaning = meaning_of(name)
-    assert (meaning.role, meaning.quantity) == (role, "")
-
-
-@pytest.mark.parametrize(
-    ("name", "quantity"),
-    [
-        ("pitch_ref", "a setpoint"),
-        ("e_c", "a setpoint"),
-        ("r[1]", "a setpoint"),
-        ("front_ref", "a setpoint"),
-        ("pitch [deg/s]", "a rate"),
-        ("lambda_dot", "a rate"),
-        ("pitch_filtered", "an estimate"),
-        ("front_current", "a current"),
-        ("i_f", "a current"),
-    ],
-)
-def test_a_name_states_another_quantity(name: str, quantity: str) -> None:
-    assert meaning_of(name).quantity == quantity
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["Tid [s]", "Zeit", "Temps (s)", "tiempo", "时间(s)", "Čas", "czas", "時刻", "Время, с", "Datum", "T"],
-)
-def test_a_name_states_the_time(name: str) -> None:
-    assert is_time(name)
-
-
-def test_the_letter_of_a_temperature_states_no_time() -> None:
-    assert not is_time("T_motor")
-    assert not is_time("T_amb")
 
 
 def flight_table(pilot: str = "travel", commands: bool = False, **others: Floats) -> Table:
@@ -119,7 +65,12 @@ def subjects(guess: Guess) -> set[str]:
     return {ambiguity.subject for ambiguity in guess.ambiguities}
 
 
-@pytest.mark.medium
+@cache
+def sound_guess() -> Guess:
+    """The guess of the table as it is."""
+    return proposed(flight_table())
+
+
 def test_a_part_that_is_moved_by_hand_before_the_flight_is_no_evidence_and_is_doubted() -> None:
     table = flight_table()
     assert "the rows with the motors off" not in subjects(proposed(table))
@@ -138,7 +89,6 @@ def test_a_part_that_is_moved_by_hand_before_the_flight_is_no_evidence_and_is_do
     assert {angle.sign for angle in guess.profile.angles.values()} == {1.0}
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(
     ("per_rad", "header", "subject"),
     [
@@ -160,7 +110,6 @@ def test_whole_numbers_of_an_encoder_that_is_not_the_rigs_are_doubted(
     assert subject in doubts or not (subject or doubts)
 
 
-@pytest.mark.medium
 def test_the_name_of_a_matrix_with_a_word_of_time_hides_no_column() -> None:
     table = flight_table()
     matrix = Table("x.mat", {f"date_time[{i}]": column for i, column in enumerate(table.columns.values(), 1)})
@@ -168,7 +117,6 @@ def test_the_name_of_a_matrix_with_a_word_of_time_hides_no_column() -> None:
     assert [columns[axis] for axis in AXES] == ["date_time[2]", "date_time[3]", "date_time[4]"]
 
 
-@pytest.mark.medium
 def test_a_column_that_states_a_voltage_is_the_motors() -> None:
     table = flight_table()
     forces = {name: Column(2.0 * table.columns[name].values ** 2) for name in PAIR}
@@ -189,16 +137,14 @@ def test_widths_of_pulses_are_refused_as_such() -> None:
         proposed(Table("x.csv", {"t": Column(times), **columns, **pulses}))
 
 
-@pytest.mark.medium
 def test_a_pitch_far_from_level_in_flight_has_a_doubtful_zero() -> None:
     table = flight_table()
-    assert "pitch's zero" not in subjects(proposed(table))
+    assert "pitch's zero" not in subjects(sound_guess())
     raised = replace(table.columns["pitch"], values=table.columns["pitch"].values + math.radians(40.0))
     tilted = replace(table, columns={**table.columns, "pitch": raised})
     assert "pitch's zero" in subjects(proposed(tilted))
 
 
-@pytest.mark.medium
 def test_a_zero_of_pitch_that_travel_and_the_voltages_contradict_is_doubted() -> None:
     # The pilot's rig is steady at -5.7 deg, because of its torque.
     table = flight_table()
@@ -217,7 +163,6 @@ def scaled(table: Table, names: Mapping[str, str], factors: Mapping[str, float])
     return replace(table, columns=columns)
 
 
-@pytest.mark.medium
 def test_an_unstated_unit_of_times_is_doubted_if_nothing_follows_the_voltages() -> None:
     columns = dict(flight_table().columns)
     # Only in milliseconds are such steps those of a log.
@@ -238,7 +183,6 @@ def test_a_unit_that_is_unknown_or_that_the_motion_contradicts_is_doubted() -> N
     assert "the scale of elevation" not in subjects(proposed(scaled(table, stated, {})))
 
 
-@pytest.mark.medium
 def test_a_unit_in_which_the_arm_turns_over_is_not_proposed() -> None:
     degrees = dict.fromkeys(AXES, 180.0 / math.pi)
     guess = proposed(scaled(flight_table(), {axis: f"{axis} [rad]" for axis in AXES}, degrees))
@@ -246,32 +190,29 @@ def test_a_unit_in_which_the_arm_turns_over_is_not_proposed() -> None:
     assert "pitch's unit" in subjects(guess)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("axis", AXES)
 def test_a_rate_with_the_name_of_its_angle_is_doubted(axis: str) -> None:
     table = flight_table()
-    assert f"{axis}'s column" not in subjects(proposed(table))
+    assert f"{axis}'s column" not in subjects(sound_guess())
     rate = np.gradient(table.columns[axis].values, table.columns["t"].values)
     assert f"{axis}'s column" in subjects(
         proposed(replace(table, columns={**table.columns, axis: Column(rate)}))
     )
 
 
-@pytest.mark.medium
 def test_two_motors_with_equal_voltages_are_doubted() -> None:
     table = flight_table()
-    assert "the voltages' columns" not in subjects(proposed(table))
+    assert "the voltages' columns" not in subjects(sound_guess())
     equal = proposed(replace(table, columns={**table.columns, "back": table.columns["front"]}))
     (doubt,) = (each for each in equal.ambiguities if each.subject == "the voltages' columns")
     assert "equal in 100 % of the rows" in doubt.reason
 
 
-@pytest.mark.medium
 def test_a_stated_share_of_the_supply_asks_for_the_supply() -> None:
     table = flight_table()
     shares = scaled(table, {m: f"{m} [%]" for m in PAIR}, dict.fromkeys(PAIR, 100.0 / 5.0))
     assert "the supply voltage" in subjects(proposed(shares))
-    assert "the supply voltage" not in subjects(proposed(table))
+    assert "the supply voltage" not in subjects(sound_guess())
     # A supply that is far from that of the rig file has to explain the hover.
     battery = {"battery [V]": Column(np.full(len(table), 12.0))}
     for supply_V in (5.0, 12.0):
@@ -280,7 +221,6 @@ def test_a_stated_share_of_the_supply_asks_for_the_supply() -> None:
         assert ("the supply voltage" in questions) == (supply_V != 12.0)
 
 
-@pytest.mark.medium
 def test_columns_that_names_or_units_call_voltages_are_no_setpoints() -> None:
     table = flight_table()
     names = {"sum [V]": "elevation", "difference [V]": "pitch"}
@@ -289,7 +229,6 @@ def test_columns_that_names_or_units_call_voltages_are_no_setpoints() -> None:
     assert columns_of(proposed(replace(table, columns={**angles, **followed})))["sum"] == "sum [V]"
 
 
-@pytest.mark.medium
 def test_a_setpoint_never_replaces_a_column_that_a_name_calls_measured() -> None:
     source = piloted("quanser-course", "travel", 3, 25.0)
     late = np.roll(source.flight.pitch_rad, 20)
@@ -311,7 +250,6 @@ def low_passed(values: Floats, time_constant_s: float, step_s: float) -> Floats:
     return filtered
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("time_constant_s", [0.03, 0.2])
 def test_a_filtered_copy_of_an_angle_is_no_third_angle(time_constant_s: float) -> None:
     source = piloted("quanser-course", "travel", 3, 25.0).flight
@@ -327,7 +265,6 @@ def test_a_filtered_copy_of_an_angle_is_no_third_angle(time_constant_s: float) -
         proposed(replace(table, columns=unnamed))
 
 
-@pytest.mark.medium
 def test_the_origin_of_a_filtered_copy_is_used_though_the_copy_comes_first() -> None:
     source = piloted("quanser-course", "travel", 3, 25.0).flight
     table = flight_table(pitch2=low_passed(source.pitch_rad, 0.1, source.step_s))
@@ -336,7 +273,6 @@ def test_the_origin_of_a_filtered_copy_is_used_though_the_copy_comes_first() -> 
     assert any("pitch2 (a filtered copy of pitch)" in sentence for sentence in guess.evidence)
 
 
-@pytest.mark.medium
 def test_an_axis_that_follows_its_setpoint_closely_is_no_filtered_copy_of_it() -> None:
     source = piloted("quanser-course", "travel", 3, 25.0).flight
     smooth = low_passed(low_passed(source.travel_rad, 0.1, source.step_s)[::-1], 0.1, source.step_s)[::-1]
@@ -345,7 +281,6 @@ def test_an_axis_that_follows_its_setpoint_closely_is_no_filtered_copy_of_it() -
     assert not any("travel (a filtered copy" in sentence for sentence in guess.evidence)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("missing", ["elevation", "pitch", "travel"])
 def test_two_angles_are_refused_though_another_column_could_be_the_third(missing: str) -> None:
     rows = np.arange(piloted("quanser-course", "travel", 3, 25.0).flight.t_s.size)
@@ -361,7 +296,6 @@ def test_two_angles_are_refused_though_another_column_could_be_the_third(missing
         proposed(replace(table, columns=columns))
 
 
-@pytest.mark.medium
 def test_names_that_the_motion_contradicts_are_kept_and_doubted() -> None:
     guess = proposed(renamed(flight_table(), elevation="travel", travel="elevation"))
     assert columns_of(guess)["elevation"] == "elevation"
@@ -369,7 +303,6 @@ def test_names_that_the_motion_contradicts_are_kept_and_doubted() -> None:
     assert "elevation is travel" in doubt.alternative and "disagree" in doubt.reason
 
 
-@pytest.mark.medium
 def test_without_names_the_motion_proposes_columns_and_asks_for_a_profile() -> None:
     names = {"elevation": "x4", "pitch": "x2", "travel": "x0", "front": "x3", "back": "x1"}
     guess = proposed(renamed(flight_table(), **names))
@@ -383,7 +316,6 @@ def test_without_names_the_motion_proposes_columns_and_asks_for_a_profile() -> N
     assert "a motor's current moves like its voltage" in doubt.reason
 
 
-@pytest.mark.medium
 def test_a_counter_of_rows_is_no_angle_and_no_voltage_if_the_rate_is_given() -> None:
     table = renamed(flight_table(), t="x5", elevation="x4", pitch="x2", travel="x0", front="x3", back="x1")
     counted = replace(table, columns={**table.columns, "x5": Column(np.arange(len(table), dtype=float))})
@@ -392,7 +324,6 @@ def test_a_counter_of_rows_is_no_angle_and_no_voltage_if_the_rate_is_given() -> 
     assert options.columns() == ["x4", "x2", "x0", "x3", "x1"]
 
 
-@pytest.mark.medium
 def test_two_motors_that_resemble_each_other_are_no_copies_if_their_amplifiers_limit_them() -> None:
     front_V = piloted("quanser-course", "travel", 3, 25.0).flight.voltages_V[:, 0]
     limit_V = float(np.quantile(front_V, 0.9))
@@ -403,7 +334,6 @@ def test_two_motors_that_resemble_each_other_are_no_copies_if_their_amplifiers_l
     assert {"x1", "x3"} <= set(options.by_role["front"])
 
 
-@pytest.mark.medium
 def test_without_names_a_file_without_travel_is_refused() -> None:
     table = flight_table()
     t_s = table.columns["t"].values
@@ -413,7 +343,6 @@ def test_without_names_a_file_without_travel_is_refused() -> None:
         proposed(renamed(replace(table, columns=columns), **names))
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize(("other", "is_doubted"), [("{}_raw", True), ("{} [mV]", False)])
 def test_two_voltages_of_a_motor_that_differ_by_a_gain_are_doubted(other: str, is_doubted: bool) -> None:
     table = flight_table()
@@ -422,14 +351,12 @@ def test_two_voltages_of_a_motor_that_differ_by_a_gain_are_doubted(other: str, i
     assert ("the columns" in subjects(guess)) == is_doubted
 
 
-@pytest.mark.medium
 def test_names_that_contradict_the_motion_are_named_although_travel_has_none() -> None:
     table = renamed(flight_table(), elevation="alpha", pitch="theta", travel="phi")
     with pytest.raises(FlightDataError, match="elevation is alpha, pitch is theta, travel is phi"):
         proposed(table)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("is_off_first", [False, True])
 def test_shares_against_which_elevation_rises_may_be_those_of_an_inverting_driver(is_off_first: bool) -> None:
     columns = dict(flight_table().columns)
@@ -440,14 +367,12 @@ def test_shares_against_which_elevation_rises_may_be_those_of_an_inverting_drive
     assert ("elevation's sign" in subjects(proposed(Table("x.csv", columns)))) != is_off_first
 
 
-@pytest.mark.medium
 def test_the_one_column_that_is_left_for_a_role_needs_no_name() -> None:
     guess = proposed(renamed(flight_table(), pitch="Pi"))
     assert columns_of(guess)["pitch"] == "Pi"
     assert "the columns" not in subjects(guess)
 
 
-@pytest.mark.medium
 def test_the_name_of_one_matrix_says_nothing_of_its_columns() -> None:
     table = flight_table()
     numbered = [f"pc_ec_lam_r_p[{number}]" for number in range(1, len(table.columns) + 1)]
@@ -459,7 +384,6 @@ def options_of(table: Table) -> ColumnOptions:
     return column_options([prepare_file(table, REFERENCE, None)], NOTHING_KNOWN)
 
 
-@pytest.mark.medium
 @pytest.mark.parametrize("gain", [1.0, 0.05], ids=["volts", "the size of the rate"])
 def test_a_sum_that_follows_the_rate_of_elevation_is_no_copy_of_it(gain: float) -> None:
     source = piloted("quanser-course", "hands off", 3, 25.0)
@@ -471,7 +395,6 @@ def test_a_sum_that_follows_the_rate_of_elevation_is_no_copy_of_it(gain: float) 
     assert options.left_out["w2"] == "the rate of elevation"
 
 
-@pytest.mark.medium
 def test_a_known_column_keeps_its_role_against_its_name(tmp_path: Path) -> None:
     path = tmp_path / "known.toml"
     path.write_text('[front]\ncolumn = "back"\n[back]\ncolumn = "front"\n')
@@ -480,7 +403,6 @@ def test_a_known_column_keeps_its_role_against_its_name(tmp_path: Path) -> None:
     assert guess.profile.voltages["front"].column == "back"
 
 
-@pytest.mark.medium
 def test_a_stated_unit_decides_and_the_motion_doubts_it() -> None:
     table = flight_table()
     columns = {
@@ -492,13 +414,11 @@ def test_a_stated_unit_decides_and_the_motion_doubts_it() -> None:
     assert (doubt.chosen, doubt.alternative) == ("deg, as the header says", "rad")
 
 
-@pytest.mark.medium
 def test_commands_beyond_the_supply_do_not_change_their_unit() -> None:
     guess = proposed(flight_table("manual", commands=True))
     assert {item.unit for item in guess.profile.voltages.values()} == {"V"}
 
 
-@pytest.mark.medium
 def test_a_file_without_voltages_is_refused_with_the_reason() -> None:
     table = flight_table()
     angles = {name: item for name, item in table.columns.items() if name not in ("front", "back")}

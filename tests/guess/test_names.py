@@ -76,11 +76,44 @@ from heli_lab.setup.guess.names import (
         ("Yükseliş açısı", "elevation", ""),
         # The rest of a compound has to be a word, too.
         ("wpitch", "", ""),
+        ("Høyde (grader)", "elevation", ""),
+        ("Höhenwinkel [°]", "elevation", ""),
+        ("Élévation", "elevation", ""),
+        ("高度角(°)", "elevation", ""),
+        ("cabeceo", "pitch", ""),
+        ("俯仰角", "pitch", ""),
+        ("pitch_real_data", "pitch", ""),
+        ("Vandring", "travel", ""),
+        ("旋转角", "travel", ""),
+        ("Moteur arrière [V]", "back", ""),
+        ("前电机", "front", ""),
+        ("v_delantero", "front", ""),
+        ("cmd_front", "front", ""),
+        ("V_s", "sum", ""),
+        ("u2", "", ""),
+        ("x3", "", ""),
+        ("pitch_ref", "pitch", "a setpoint"),
+        ("e_c", "elevation", "a setpoint"),
+        ("r[1]", "", "a setpoint"),
+        ("front_ref", "front", "a setpoint"),
+        ("pitch [deg/s]", "pitch", "a rate"),
+        ("lambda_dot", "travel", "a rate"),
+        ("pitch_filtered", "pitch", "an estimate"),
+        ("front_current", "front", "a current"),
+        ("i_f", "front", "a current"),
     ],
 )
 def test_a_name_states_a_role_or_another_quantity(name: str, role: str, quantity: str) -> None:
     meaning = meaning_of(name)
     assert (meaning.role, meaning.quantity) == (role, quantity)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["Tid [s]", "Zeit", "Temps (s)", "tiempo", "时间(s)", "Čas", "czas", "時刻", "Время, с", "Datum", "T"],
+)
+def test_a_name_states_the_time(name: str) -> None:
+    assert is_time(name)
 
 
 def test_a_bar_in_the_row_of_units_states_no_unit_of_an_angle() -> None:
