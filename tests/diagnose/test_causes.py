@@ -56,13 +56,13 @@ def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
 
 
 TRIED = ("rotor_lag", "input_delay", "thrust_asymmetry", "coulomb_friction.travel", "cable_spring.travel")
+FEW_KINDS = {id_: kind for id_, kind in catalogue().items() if id_ in TRIED}
 
 
 def briefly_diagnose(*effects: str, **options: Any) -> Diagnosis:
-    """Diagnose flights with hidden effects; the catalogue has the effects `TRIED` only."""
+    """Diagnose flights with hidden effects; the catalogue has the effects `FEW_KINDS` only."""
     fit, held_out = flights(*effects)
-    kinds = {id_: kind for id_, kind in catalogue().items() if id_ in TRIED}
-    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], kinds=kinds, **options)
+    return diagnose(MultibodyModel(), load_rig("makki2024"), [fit], [held_out], kinds=FEW_KINDS, **options)
 
 
 briefly_diagnosed = cache(briefly_diagnose)
@@ -173,7 +173,7 @@ def test_unlisted_effect_is_unexplained_and_depends_on_elevation() -> None:
     assert "[[segment]]" in numbers["next_flight"]["plan"]
 
 
-def test_curve_of_an_unlisted_cause_is_reported_but_not_in_the_rig(tmp_path: Path) -> None:
+def test_curve_of_an_unlisted_cause_is_measured_but_not_in_the_rig() -> None:
     diagnosis = diagnosed(unlisted=True)
     (curve,) = diagnosis.curves
     # The hidden effect is 0.05 N m/rad; the curve has mN m and degrees, and no constant.
@@ -182,18 +182,6 @@ def test_curve_of_an_unlisted_cause_is_reported_but_not_in_the_rig(tmp_path: Pat
     assert diagnosis.held_out.splines["pitch"].ratio < 0.2
     assert diagnosis.error_reductions["pitch"].ratio == pytest.approx(1.0)
     assert diagnosis.rig("extended").effects == {}
-    page = write_report(diagnosis, tmp_path).read_text(encoding="utf-8")
-    text = html.unescape(page)
-    assert "<h1>The model lacks an effect that the catalogue does not list</h1>" in text
-    # Page, terminal and JSON have the same sentence.
-    assert text.count(summary(diagnosis)) == 1
-    assert to_json(diagnosis)["sentence"] == summary(diagnosis)
-    assert "A torque about pitch that depends on elevation predicts" in text
-    # The first section after the verdict is about the unexplained part, which the headline names.
-    assert text.index("<h2>The unexplained part") == text.index("<h2>")
-    for axis in ("pitch", "elevation", "travel"):
-        assert f"<li>About {axis}: the model with all named causes lacks " in text
-    assert (tmp_path / "curves.png").exists()
 
 
 @pytest.mark.parametrize(

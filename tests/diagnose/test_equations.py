@@ -1,5 +1,6 @@
 """Terms of a proposed law are the same in all their notations, and their units fit together."""
 
+import html
 import json
 from collections import Counter
 from dataclasses import replace
@@ -11,7 +12,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from heli_host.data.log.table import write_csv
-from heli_lab.diagnose import to_json
+from heli_lab.diagnose import summary, to_json
 from heli_lab.explain.candidates import Candidate, CandidateSignals, ExtendedModel, typical_candidate
 from heli_lab.explain.comparison import Hypothesis, ModelComparison
 from heli_lab.explain.proposal import effect_file, expression
@@ -402,7 +403,7 @@ def test_a_region_in_which_nothing_is_missing_is_not_outlined() -> None:
     assert regions.after.share < 0.1
 
 
-def test_command_writes_equation_and_effect_file(
+def test_command_writes_equation_curve_and_effect_file(
     terminal: Terminal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The search itself is what the tests above have done.
@@ -416,12 +417,22 @@ def test_command_writes_equation_and_effect_file(
     assert result.code == 0, result.err
     assert "proposed equation: torque.pitch = 0.0" in result.out
     assert "why/proposed.py" in result.out
-    assert {"equation.png", "regions.png", "proposed.py"} <= {path.name for path in Path("why").iterdir()}
+    for name in ("curves.png", "equation.png", "regions.png", "proposed.py"):
+        assert Path("why", name).exists(), name
     assert "proposed_term" in Path("with_term.toml").read_text()
-    page = Path("why/index.html").read_text(encoding="utf-8")
+    page = html.unescape(Path("why/index.html").read_text(encoding="utf-8"))
+    assert "<h1>The model lacks an effect that the catalogue does not list</h1>" in page
+    # Page, terminal and JSON have the same sentence.
+    assert page.count(summary(diagnosis)) == result.out.count(summary(diagnosis)) == 1
+    # The first section after the verdict is about the unexplained part, which the headline names.
+    assert page.index("<h2>The unexplained part") == page.index("<h2>")
+    assert "A torque about pitch that depends on elevation predicts" in page
+    for axis in ("pitch", "elevation", "travel"):
+        assert f"<li>About {axis}: the model with all named causes lacks " in page
     assert "Proposed equation" in page
     # The equation is unknown to the model, and its curve predicts the error of the validation flight.
     numbers = json.loads(Path("why.json").read_text(encoding="utf-8"))
+    assert numbers["sentence"] == summary(diagnosis)
     parts = numbers["forecast_error"]["axis"]["pitch"]
     assert parts["unknown"]["share"] > 0.5
     assert numbers["forecast_error"]["depends_on"] == ["torque.pitch on elevation"]
