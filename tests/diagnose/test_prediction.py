@@ -35,8 +35,8 @@ from heli_sim.model.effects import parse_effects
 from heli_sim.rig import Rig, load_rig
 
 from tests.cli.terminal import Terminal
-from tests.diagnose.hidden import MADE_BY, flights
-from tests.diagnose.test_causes import FEW_KINDS, diagnosed
+from tests.diagnose.hidden import FEW_KINDS, MADE_BY, flights
+from tests.diagnose.test_causes import diagnosed
 from tests.identify.made import flown, thinned
 from tests.running.kept import FLOWN, KEPT
 
