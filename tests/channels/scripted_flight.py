@@ -10,25 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from heli_host import declaration as d
 from heli_host.board.flying import ALL_AXES
 from heli_host.data.log.reader import read_flight
 from heli_host.data.log.table import export_mat, export_parquet, write_csv
 from heli_host.data.log.writer import LogWriter
-from heli_host.declaration import (
-    LINK_HASH,
-    PARAMS,
-    ArmMessage,
-    Axis,
-    Channel,
-    ControlMessage,
-    Excitation,
-    ExciteMessage,
-    HelloMessage,
-    LandMessage,
-    MessageId,
-    PingMessage,
-    SetpointMessage,
-)
 from heli_host.link.channels import numbers, rad_per_count
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.telemetry import TelemetryDecoder, Ticks
@@ -40,12 +26,12 @@ STEPS = 200
 """20 s, in messages every 0.1 s."""
 
 SCRIPT: dict[int, Any] = {
-    0: HelloMessage(request=1, link_hash=LINK_HASH, session=7),
-    5: ArmMessage(2),
-    6: ControlMessage(request=3, axes=int(ALL_AXES), front_V=0.0, back_V=0.0),
-    90: ExciteMessage(
+    0: d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=7),
+    5: d.ArmMessage(2),
+    6: d.ControlMessage(request=3, axes=int(ALL_AXES), front_V=0.0, back_V=0.0),
+    90: d.ExciteMessage(
         request=4,
-        kind=int(Excitation.PRBS),
+        kind=int(d.Excitation.PRBS),
         front_V=0.3,
         back_V=0.2,
         start_Hz=0.0,
@@ -53,8 +39,8 @@ SCRIPT: dict[int, Any] = {
         duration_s=3.0,
         seed=5,
     ),
-    140: LandMessage(5),
-    188: ArmMessage(6),
+    140: d.LandMessage(5),
+    188: d.ArmMessage(6),
 }
 TILT_STEP, TILT_DEG = 192, 60.0
 """When the arm, armed again on the table, is tilted so far that the board trips a fault."""
@@ -68,8 +54,8 @@ def message_of(step: int) -> Any:
     if 10 <= step < 140 and step % 2:
         elevation_deg, travel_deg = min(-25.0 + 0.6 * (step - 10), 3.0), 15.0 if step > 60 else 0.0
         target_rad = np.radians((elevation_deg, 0.0, travel_deg)).tolist()
-        return SetpointMessage((step + 2) * STEP_TICKS, *target_rad)
-    return PingMessage(100 + step % 50, step)
+        return d.SetpointMessage((step + 2) * STEP_TICKS, *target_rad)
+    return d.PingMessage(100 + step % 50, step)
 
 
 def fly() -> Ticks:
@@ -79,20 +65,20 @@ def fly() -> Ticks:
     for step in range(STEPS):
         if step == TILT_STEP:
             tilted = world.state
-            tilted[Axis.PITCH] = np.radians(TILT_DEG)
+            tilted[d.Axis.PITCH] = np.radians(TILT_DEG)
             world.state = tilted
         message = message_of(step)
         data = world.advance(STEP_TICKS, encode_frame(message.ID, step % 256, message.pack()))
-        payloads += [frame.payload for frame in parser.feed(data) if frame.id == MessageId.TELEMETRY]
+        payloads += [frame.payload for frame in parser.feed(data) if frame.id == d.MessageId.TELEMETRY]
     assert parser.frames_bad == 0
     return decoder.decode(payloads)
 
 
 def write(ticks: Ticks, folder: Path) -> None:
     """Write what was received, as numbers, as a log, and the log for other programs."""
-    columns: dict[str, Any] = {str(channel): numbers(ticks.raw, channel) for channel in Channel}
+    columns: dict[str, Any] = {str(channel): numbers(ticks.raw, channel) for channel in d.Channel}
     np.savez(folder / "ticks.npz", **{"board tick": ticks.tick, **columns})
-    parameters = {spec.name: spec.default for spec in PARAMS}
+    parameters = {spec.name: spec.default for spec in d.PARAMS}
     writer = LogWriter(
         folder / "flight.mcap",
         start_wall_ns=0,

@@ -16,20 +16,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from due_emulator import new_due, read_image
+from heli_host import declaration as d
 from heli_host.board.heli import Heli
-from heli_host.declaration import (
-    LINK_HASH,
-    Axes,
-    Axis,
-    Channel,
-    HelloMessage,
-    MessageId,
-    Param,
-    ParamSetMessage,
-    PingMessage,
-    StatusMessage,
-    StatusReadMessage,
-)
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_host.link.session import Session
 from heli_sim.due._due_board import motor_duty, motor_enabled, wire
@@ -376,7 +364,9 @@ def boot_to_first_frame_ms(board: Board) -> float:
         if k % HELLO_INTERVAL_MS == 0:
             board.write(
                 encode_frame(
-                    MessageId.HELLO, k & 0xFF, HelloMessage(request=1, link_hash=LINK_HASH, session=1).pack()
+                    d.MessageId.HELLO,
+                    k & 0xFF,
+                    d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=1).pack(),
                 )
             )
         if parser.feed(board.advance(1)):
@@ -384,7 +374,7 @@ def boot_to_first_frame_ms(board: Board) -> float:
     raise AssertionError("the board sends nothing")
 
 
-def _exchange(board: Board, sent: bytes, wanted: MessageId) -> Frame:
+def _exchange(board: Board, sent: bytes, wanted: d.MessageId) -> Frame:
     board.write(sent)
     parser = FrameParser()
     for _ in range(PATIENCE_MS):
@@ -395,19 +385,22 @@ def _exchange(board: Board, sent: bytes, wanted: MessageId) -> Frame:
 
 
 def _frames_ok(board: Board) -> int:
-    request = encode_frame(MessageId.STATUS_READ, 0, StatusReadMessage(1).pack())
-    return StatusMessage.unpack(_exchange(board, request, MessageId.STATUS).payload).frames_ok
+    request = encode_frame(d.MessageId.STATUS_READ, 0, d.StatusReadMessage(1).pack())
+    return d.StatusMessage.unpack(_exchange(board, request, d.MessageId.STATUS).payload).frames_ok
 
 
 def rx_lost_bytes(board: Board) -> int:
     """Send 20,000 bytes in a row under full telemetry; how many of them the firmware did not get."""
     board.advance(20)
-    hello = encode_frame(MessageId.HELLO, 0, HelloMessage(request=1, link_hash=LINK_HASH, session=1).pack())
-    _exchange(board, hello, MessageId.WELCOME)
+    hello = encode_frame(
+        d.MessageId.HELLO, 0, d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=1).pack()
+    )
+    _exchange(board, hello, d.MessageId.WELCOME)
     before = _frames_ok(board)
-    size = len(encode_frame(MessageId.PING, 0, PingMessage(0, 0).pack()))
+    size = len(encode_frame(d.MessageId.PING, 0, d.PingMessage(0, 0).pack()))
     frames = [
-        encode_frame(MessageId.PING, k % 256, PingMessage(0, k).pack()) for k in range(RX_BYTES // size + 1)
+        encode_frame(d.MessageId.PING, k % 256, d.PingMessage(0, k).pack())
+        for k in range(RX_BYTES // size + 1)
     ]
     board.write(b"".join(frames))
     board.advance(round(sum(map(len, frames)) / 25) + 50)
@@ -428,13 +421,13 @@ def travel_counts_lost(board: Board) -> int:
     for k in range(EDGES):
         direction = 1 if k // EDGES_ONE_WAY % 2 == 0 else -1
         net += direction
-        board.due.schedule_step(Axis.TRAVEL, direction, start_us + 10.0 + EDGE_INTERVAL_US * k)
+        board.due.schedule_step(d.Axis.TRAVEL, direction, start_us + 10.0 + EDGE_INTERVAL_US * k)
     heli.wait(1e-6 * EDGES * EDGE_INTERVAL_US + 0.02)
     assert heli.motors_may_run, "the flight ended while edges came"
     handled = board.due.exception_stats(TRAVEL_INTERRUPT).count
     latest = heli.session.latest
     assert latest is not None
-    miscounted = abs(int(latest.raw[Channel.TRAVEL_COUNT]) - net)
+    miscounted = abs(int(latest.raw[d.Channel.TRAVEL_COUNT]) - net)
     return EDGES - handled + miscounted + heli.session.status().illegal_travel
 
 
@@ -507,10 +500,10 @@ class RewiredBoard(Board):
 
 
 def open_loop(heli: Heli, front_V: float, back_V: float) -> None:
-    heli.session.command(ParamSetMessage(0, Param.BUMPLESS_S, 0.02))
-    heli.session.command(ParamSetMessage(0, Param.MOTOR_MIN_V, -24.0))
+    heli.session.command(d.ParamSetMessage(0, d.Param.BUMPLESS_S, 0.02))
+    heli.session.command(d.ParamSetMessage(0, d.Param.MOTOR_MIN_V, -24.0))
     heli.arm()
-    heli.control(Axes(0), front_V=front_V, back_V=back_V)
+    heli.control(d.Axes(0), front_V=front_V, back_V=back_V)
     heli.wait(0.5)
 
 

@@ -7,23 +7,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
+from heli_host import declaration as d
 from heli_host.board.heli import Heli
-from heli_host.declaration import (
-    LINK_HASH,
-    Axis,
-    Fault,
-    HelloMessage,
-    MessageId,
-    Param,
-    ParamSetMessage,
-    ParamsReadMessage,
-    ParamsSaveMessage,
-    ParamsSource,
-    PingMessage,
-    PongMessage,
-    Reset,
-    State,
-)
 from heli_host.link.frames import FrameParser, encode_frame
 from heli_host.link.session import Session
 from heli_sim.due._due_board import motor_duty
@@ -100,7 +85,7 @@ def test_encoders_count_alike_and_a_before_b_is_up(board: Board, heli: Heli) -> 
     heli.wait(0.05)
     before = counted(heli)
     start_us = board.due.now_us
-    counts = {Axis.ELEVATION: 500, Axis.PITCH: -400, Axis.TRAVEL: 300}
+    counts = {d.Axis.ELEVATION: 500, d.Axis.PITCH: -400, d.Axis.TRAVEL: 300}
     for k in range(max(map(abs, counts.values()))):
         for axis, count in counts.items():
             if k < abs(count):
@@ -114,9 +99,9 @@ def test_no_travel_edge_is_lost_at_200000_a_second(board: Board, heli: Heli) -> 
     start_us = board.due.now_us
     board.due.clear_stats()
     for k in range(edges):
-        board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=start_us + 10.0 + 5.0 * k)
+        board.due.schedule_step(d.Axis.TRAVEL, direction=1, when_us=start_us + 10.0 + 5.0 * k)
     heli.wait(0.05)
-    assert counted(heli)[Axis.TRAVEL] == edges
+    assert counted(heli)[d.Axis.TRAVEL] == edges
     assert heli.session.status().illegal_travel == 0
     handler = board.due.exception_stats(TRAVEL_INTERRUPT)
     assert handler.count == edges
@@ -128,12 +113,12 @@ def test_no_travel_edge_is_lost_while_the_law_flies(board: Board) -> None:
 
 
 def test_illegal_transitions_are_counted_on_every_encoder(board: Board, heli: Heli) -> None:
-    board.due.glitch_encoder(Axis.ELEVATION)
+    board.due.glitch_encoder(d.Axis.ELEVATION)
     for _ in range(2):
-        board.due.glitch_encoder(Axis.PITCH)
+        board.due.glitch_encoder(d.Axis.PITCH)
         board.advance(2)
     for _ in range(3):
-        board.due.glitch_encoder(Axis.TRAVEL)
+        board.due.glitch_encoder(d.Axis.TRAVEL)
         board.advance(1)
     status = heli.session.status()
     assert (status.illegal_elevation, status.illegal_pitch, status.illegal_travel) == (1, 2, 3)
@@ -141,21 +126,21 @@ def test_illegal_transitions_are_counted_on_every_encoder(board: Board, heli: He
 
 @pytest.mark.parametrize("axis", range(3))
 def test_illegal_transitions_are_counted_beyond_16_bits(board: Board, heli: Heli, axis: int) -> None:
-    place = board.image.symbols[TRAVEL_ILLEGAL if axis == Axis.TRAVEL else DECODER_ERRORS]
-    place += 4 * (axis == Axis.PITCH)
+    place = board.image.symbols[TRAVEL_ILLEGAL if axis == d.Axis.TRAVEL else DECODER_ERRORS]
+    place += 4 * (axis == d.Axis.PITCH)
     # Two below what the 16 bits of the status hold.
     board.due.poke(place, struct.pack("<I", 0xFFFD))
     heli.wait(0.05)
     heli.arm()
     heli.wait(0.01)
     assert board.on()
-    for _ in range(int(heli.session.read_params()[Param.ENCODER_ILLEGAL_MAX]) + 1):
+    for _ in range(int(heli.session.read_params()[d.Param.ENCODER_ILLEGAL_MAX]) + 1):
         board.due.glitch_encoder(axis)
         heli.wait(0.005)
     heli.wait(0.05)
     assert board.off()
-    assert heli.fault == Fault.ENCODER_ELEVATION + axis
-    assert getattr(heli.session.status(), f"illegal_{Axis(axis).name.lower()}") == 0xFFFF
+    assert heli.fault == d.Fault.ENCODER_ELEVATION + axis
+    assert getattr(heli.session.status(), f"illegal_{d.Axis(axis).name.lower()}") == 0xFFFF
 
 
 def test_a_tick_that_is_late_is_counted_and_reported(board: Board, heli: Heli) -> None:
@@ -175,7 +160,7 @@ def test_duties_are_the_voltages_within_one_step(
 ) -> None:
     open_loop(heli, front_V, back_V)
     assert board.on()
-    supply_V = heli.session.read_params()[Param.SUPPLY_V]
+    supply_V = heli.session.read_params()[d.Param.SUPPLY_V]
     assert motor_duty(board.due, 0) == pytest.approx(front_V / supply_V, abs=1.01 / 2100)
     assert motor_duty(board.due, 1) == pytest.approx(back_V / supply_V, abs=1.01 / 2100)
     assert board.due.pwm_period_cycles(4) == 84_000_000 // 20_000
@@ -183,13 +168,13 @@ def test_duties_are_the_voltages_within_one_step(
 
 def test_opening_the_port_is_distinguished_from_power_up(board: Board) -> None:
     before = board.connect().session.welcome
-    assert before.reset == Reset.POWER_UP
+    assert before.reset == d.Reset.POWER_UP
     board.due.usb_control_lines(False)
     board.due.usb_control_lines(True)
     board.advance(300)
     welcome = board.connect().session.welcome
-    assert welcome.reset == Reset.USER
-    assert welcome.boot_fault == Fault.NONE
+    assert welcome.reset == d.Reset.USER
+    assert welcome.boot_fault == d.Fault.NONE
     assert welcome.boot_id != before.boot_id
 
 
@@ -216,15 +201,15 @@ def test_saved_parameters_outlive_a_reset_and_the_pages_take_turns(board: Board)
     pages = []
     for value in (1.5, 2.5, 0.25, 3.0):
         heli = board.connect()
-        heli.session.command(ParamSetMessage(0, Param.ELEVATION_KP, value))
-        heli.session.command(ParamsSaveMessage(0))
+        heli.session.command(d.ParamSetMessage(0, d.Param.ELEVATION_KP, value))
+        heli.session.command(d.ParamsSaveMessage(0))
         pages.append(board.due.flash()[-1024:])
         # Programming asks for more wait states than reading.
         assert board.register(EFC1_FMR) >> 8 & 0xF == 4
         board.reset()
         session = Session(board, session_number=2)
-        assert session.connect().params_source == ParamsSource.STORED
-        assert session.read_params()[Param.ELEVATION_KP] == value
+        assert session.connect().params_source == d.ParamsSource.STORED
+        assert session.read_params()[d.Param.ELEVATION_KP] == value
     assert pages[0][:512] == pages[0][512:]
     for before, after in itertools.pairwise(pages):
         changed = [before[at : at + 512] != after[at : at + 512] for at in (0, 512)]
@@ -232,7 +217,7 @@ def test_saved_parameters_outlive_a_reset_and_the_pages_take_turns(board: Board)
 
 
 def test_ticks_go_on_while_the_flash_is_written(heli: Heli) -> None:
-    heli.session.command(ParamsSaveMessage(0))
+    heli.session.command(d.ParamsSaveMessage(0))
     heli.wait(0.1)
     assert heli.session.status().overruns == 0
     assert heli.session.counters.ticks_lost == 0
@@ -266,7 +251,7 @@ def test_bytes_that_find_no_room_are_lost_and_no_older_ones(board: Board) -> Non
     board.connect()
     # The slow clock [Hz] runs the watchdog, which must bear with two stalls in a row.
     board.due.set_slow_clock(20_000)
-    pings = [encode_frame(MessageId.PING, k, PingMessage(0, k).pack()) for k in range(150)]
+    pings = [encode_frame(d.MessageId.PING, k, d.PingMessage(0, k).pack()) for k in range(150)]
     board.due.hold_processor(True)
     room = board.register(UART_RCR) + board.register(UART_RNCR)
     kept = room // len(pings[0])
@@ -279,13 +264,15 @@ def test_bytes_that_find_no_room_are_lost_and_no_older_ones(board: Board) -> Non
     sent = board.advance(50)
     board.due.hold_processor(False)
     frames = FrameParser().feed(sent + board.advance(300))
-    received = [PongMessage.unpack(frame.payload).host_us for frame in frames if frame.id == MessageId.PONG]
+    received = [
+        d.PongMessage.unpack(frame.payload).host_us for frame in frames if frame.id == d.MessageId.PONG
+    ]
     assert kept >= 512 // len(pings[0])
     assert received[:kept] == list(range(kept))
 
 
 def test_no_byte_of_the_board_is_lost_or_wrong_wherever_its_ring_ends(heli: Heli) -> None:
-    heli.session.command(ParamSetMessage(0, Param.TELEMETRY_BATCH_TICKS, 4))
+    heli.session.command(d.ParamSetMessage(0, d.Param.TELEMETRY_BATCH_TICKS, 4))
     heli.wait(1.0)
     counters = heli.session.counters
     assert (counters.frames_bad, counters.frames_lost, counters.ticks_lost) == (0, 0, 0)
@@ -299,12 +286,17 @@ def test_answers_that_wait_for_the_line_overwrite_nothing_that_is_being_sent(boa
     board.advance(20)
     parser = FrameParser()
     sent_values = [
-        encode_frame(MessageId.HELLO, 0, HelloMessage(request=1, link_hash=LINK_HASH, session=1).pack()),
-        *(encode_frame(MessageId.PARAMS_READ, 1 + k, ParamsReadMessage(2 + k, 0).pack()) for k in range(60)),
+        encode_frame(
+            d.MessageId.HELLO, 0, d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=1).pack()
+        ),
+        *(
+            encode_frame(d.MessageId.PARAMS_READ, 1 + k, d.ParamsReadMessage(2 + k, 0).pack())
+            for k in range(60)
+        ),
     ]
     board.write(b"".join(sent_values))
     frames = parser.feed(board.advance(1200))
-    assert sum(frame.id == MessageId.PARAMS for frame in frames) > 10
+    assert sum(frame.id == d.MessageId.PARAMS for frame in frames) > 10
     assert (parser.frames_bad, parser.frames_lost) == (0, 0)
 
 
@@ -348,8 +340,8 @@ def test_an_edge_that_bounces_back_at_any_moment_leaves_the_count_where_it_was(b
     board.advance(20)
     for cycles in range(1, 90):
         start_us = board.due.now_us + 1.0
-        board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=start_us)
-        board.due.schedule_step(Axis.TRAVEL, direction=-1, when_us=start_us + cycles / CYCLES_PER_US)
+        board.due.schedule_step(d.Axis.TRAVEL, direction=1, when_us=start_us)
+        board.due.schedule_step(d.Axis.TRAVEL, direction=-1, when_us=start_us + cycles / CYCLES_PER_US)
         board.due.run_us(20.0)
         assert (word(board, TRAVEL_COUNT), word(board, TRAVEL_ILLEGAL)) == (0, 0), f"after {cycles} cycles"
 
@@ -360,11 +352,11 @@ def test_where_the_travel_encoder_stands_at_the_start_is_its_zero(
 ) -> None:
     board = Board(elf, image)
     board.cut_power()
-    board.due.set_encoder(Axis.TRAVEL, steps)
+    board.due.set_encoder(d.Axis.TRAVEL, steps)
     board.restore_power()
     board.advance(20)
-    board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=board.due.now_us + 10.0)
-    board.due.schedule_step(Axis.TRAVEL, direction=1, when_us=board.due.now_us + 30.0)
+    board.due.schedule_step(d.Axis.TRAVEL, direction=1, when_us=board.due.now_us + 10.0)
+    board.due.schedule_step(d.Axis.TRAVEL, direction=1, when_us=board.due.now_us + 30.0)
     board.advance(1)
     assert (word(board, TRAVEL_COUNT), word(board, TRAVEL_ILLEGAL)) == (2, 0)
 
@@ -373,7 +365,7 @@ def test_travel_counts_every_step_in_both_directions(board: Board) -> None:
     board.advance(20)
     place = 0
     for direction in (1, 1, 1, 1, 1, -1, 1, 1, -1, -1, -1, -1, -1, -1, -1, -1, -1, 1):
-        board.due.schedule_step(Axis.TRAVEL, direction, board.due.now_us + 5.0)
+        board.due.schedule_step(d.Axis.TRAVEL, direction, board.due.now_us + 5.0)
         board.due.run_us(20.0)
         place += direction
         assert (word(board, TRAVEL_COUNT), word(board, TRAVEL_ILLEGAL)) == (place, 0)
@@ -392,7 +384,7 @@ def test_a_spike_shorter_than_a_clock_is_no_stop_and_a_longer_one_is(board: Boar
     board.due.set_pin(STOP_PIN, "low")
     heli.wait(0.02)
     assert board.off()
-    assert heli.fault is Fault.HARDWARE_STOP
+    assert heli.fault is d.Fault.HARDWARE_STOP
 
 
 def test_a_stop_that_bounces_keeps_the_outputs_low_until_the_enables_are(board: Board, heli: Heli) -> None:
@@ -416,7 +408,7 @@ def test_a_stop_that_bounces_keeps_the_outputs_low_until_the_enables_are(board: 
     board.due.resume()
     heli.wait(0.02)
     assert board.off() and board.pwm_low()
-    assert heli.state is State.FAULT
+    assert heli.state is d.State.FAULT
 
 
 def test_stopping_takes_the_outputs_low_at_once_and_not_at_the_end_of_their_period(
@@ -424,10 +416,10 @@ def test_stopping_takes_the_outputs_low_at_once_and_not_at_the_end_of_their_peri
 ) -> None:
     open_loop(heli, front_V=9.5, back_V=9.5)
     for _ in range(6):
-        board.due.glitch_encoder(Axis.TRAVEL)
+        board.due.glitch_encoder(d.Axis.TRAVEL)
         board.due.run_us(5.0)
     board.milliseconds_until_off(step_us=1.0, max_ms=2.0)
     board.due.run_us(2.0)
     assert board.pwm_low()
     heli.wait(0.02)
-    assert heli.fault is Fault.ENCODER_TRAVEL
+    assert heli.fault is d.Fault.ENCODER_TRAVEL

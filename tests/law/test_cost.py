@@ -10,15 +10,8 @@ import pytest
 
 pytest.importorskip("due_emulator._due", reason="the emulated Due is not built: make setup")
 
+from heli_host import declaration as d
 from heli_host.board.law_program import LawProgram
-from heli_host.declaration import (
-    LAW_INPUTS,
-    LAW_SIGNAL_COST,
-    LAW_STATE_COST,
-    LAW_TERM_COST,
-    LAW_TICK_COST,
-    OPERATIONS,
-)
 from heli_lab.law import Command, Law, control_law, motor_volts, sqrt
 
 from firmware.due.report import read_image
@@ -44,7 +37,7 @@ ROOT = Path(__file__).resolve().parents[2]
 AROUND = 20
 ALL = tuple(sorted(path.stem for path in LAWS.glob("*.py")))
 EXECUTE = "_ZN4heli3law4Tape7execute"
-SUM = next(operation for operation in OPERATIONS if operation.name == "sum_of_products")
+SUM = next(operation for operation in d.OPERATIONS if operation.name == "sum_of_products")
 MAX_TICK = 30_000
 # Square roots that fill a tick.
 ROOTS = 48
@@ -65,7 +58,7 @@ def processor() -> Processor:
 
 def test_no_operation_takes_longer_than_declared_nor_much_less(processor: Processor) -> None:
     operands = pairs(1, 100)
-    for operation in OPERATIONS:
+    for operation in d.OPERATIONS:
         if operation.operands == 0:
             continue
         most = operation_cost(processor, operation.code, operands, operation.operands == 2)
@@ -78,7 +71,7 @@ def test_a_sum_takes_no_longer_than_declared_whatever_its_terms_are(processor: P
     nearest = 0.0
     for cells, terms in adversarial_sums(chance, samples(20_000, 400)):
         instructions = sum_cost(processor, cells, terms)
-        declared = SUM.cost + LAW_TERM_COST * len(terms)
+        declared = SUM.cost + d.LAW_TERM_COST * len(terms)
         assert instructions <= declared, (cells, terms)
         nearest = max(nearest, instructions / declared)
     # There are terms that take as long as is declared of any.
@@ -90,7 +83,7 @@ def random_program(chance: np.random.Generator, inputs: int, written: int) -> tu
     words: list[int] = []
     declared = AROUND
     for k in range(int(chance.integers(1, 40))):
-        operation = OPERATIONS[int(chance.integers(0, len(OPERATIONS)))]
+        operation = d.OPERATIONS[int(chance.integers(0, len(d.OPERATIONS)))]
         target, readable = inputs + k % (written - inputs), inputs + min(k, written - inputs)
         declared += operation.cost
         if operation.operands == 0:
@@ -100,7 +93,7 @@ def random_program(chance: np.random.Generator, inputs: int, written: int) -> tu
             words += sum_words(
                 target, [(a, b, bool(sign)) for (a, b), sign in zip(cells, signs, strict=True)]
             )
-            declared += LAW_TERM_COST * count
+            declared += d.LAW_TERM_COST * count
             continue
         first, second = chance.integers(0, readable, 2).tolist()
         words.append(operation_word(operation.code, target, first, second if operation.operands == 2 else 0))
@@ -109,7 +102,7 @@ def random_program(chance: np.random.Generator, inputs: int, written: int) -> tu
 
 def test_random_tapes_never_take_longer_than_predicted(processor: Processor) -> None:
     chance = np.random.default_rng(2)
-    inputs, written = len(LAW_INPUTS), 60
+    inputs, written = len(d.LAW_INPUTS), 60
     for _ in range(TAPES):
         words, declared = random_program(chance, inputs, written)
         cells = chance.integers(0, 1 << 32, written, np.uint64).astype(np.uint32).view(np.float32)
@@ -132,21 +125,21 @@ def test_states_and_signals_cost_no_more_than_declared() -> None:
         flown(remembering(count).program).function_cost(LAW_UPDATE).max_instructions for count in (1, 201)
     )
     each = (many - few) / 200
-    assert LAW_STATE_COST - 1 < each <= LAW_STATE_COST
+    assert d.LAW_STATE_COST - 1 < each <= d.LAW_STATE_COST
     ticks = flown(remembering(1, signals=4).program).function_cost(LAW_UPDATE).max_instructions
-    assert (ticks - few) / 4 <= LAW_SIGNAL_COST
+    assert (ticks - few) / 4 <= d.LAW_SIGNAL_COST
 
 
 def test_a_tick_with_the_most_expensive_accepted_tape_is_within_its_bound() -> None:
     program = most_expensive().program
-    assert LAW_TICK_COST - 400 < program.cost <= LAW_TICK_COST
+    assert d.LAW_TICK_COST - 400 < program.cost <= d.LAW_TICK_COST
     flight = flown(program)
     update = flight.function_cost(LAW_UPDATE).max_instructions
     tick_cycles = flight.tick_cost().max_instructions
     assert update <= program.cost <= 1.15 * update
     assert tick_cycles <= MAX_TICK
     # What is around the law has room too, so that no program of the same cost does more.
-    assert LAW_TICK_COST + (tick_cycles - update) <= MAX_TICK
+    assert d.LAW_TICK_COST + (tick_cycles - update) <= MAX_TICK
 
 
 @pytest.mark.skipif(not LONG, reason="builds the firmware without the seat for laws: make long")

@@ -9,21 +9,10 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
+from heli_host import declaration as d
 from heli_host.board.law_flight import engage, loaded, takeover_since
 from heli_host.board.law_program import LawProgram
 from heli_host.data.response import responses
-from heli_host.declaration import (
-    LINK_HASH,
-    Channel,
-    Fault,
-    Flags,
-    HelloMessage,
-    LawFlyMessage,
-    LawMessage,
-    LawReadMessage,
-    LawState,
-    MessageId,
-)
 from heli_host.link.telemetry import Ticks
 from heli_lab.apps.classroom.grade import FlightScore, LawGrade, score_of_trial
 from heli_lab.control.law_flight import LawTrial
@@ -95,9 +84,9 @@ def stays_off(heli: heli_host.Heli, which: str) -> None:
     heli.wait(0.1)
     heli.session.subscribe_ticks(ticks.append)
     with pytest.raises(heli_host.HeliError):
-        heli.session.command(LawFlyMessage(request=0, on=1))
+        heli.session.command(d.LawFlyMessage(request=0, on=1))
     heli.wait(0.5)
-    motors = np.concatenate([part.raw for part in ticks])[:, [Channel.FRONT, Channel.BACK]]
+    motors = np.concatenate([part.raw for part in ticks])[:, [d.Channel.FRONT, d.Channel.BACK]]
     assert len(motors) > 400
     assert not motors.any(), which
 
@@ -174,12 +163,12 @@ def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> Non
         if end == "it lands":
             heli.land()
         else:
-            heli.session.command(LawFlyMessage(request=0, on=0))
+            heli.session.command(d.LawFlyMessage(request=0, on=0))
             heli.wait(20.0)
         since = heli.samples(last_s=30.0)
         # One degree over: what any step does on slow rotors.
         assert np.degrees(since.elevation_rad[since.tick > start]).max() < 22.5
-        assert heli.latest.fault is Fault.NONE
+        assert heli.latest.fault is d.Fault.NONE
         if end != "it lands":
             assert abs(heli.latest.elevation_deg - 21.0) < 1.0
 
@@ -187,7 +176,7 @@ def test_a_law_may_be_ended_far_below_a_high_setpoint(end: str, rig: str) -> Non
 def test_the_board_takes_over_without_a_bump() -> None:
     flown = fly(hostile("well", lambda now, good, _: motors(good)).program, seconds=2.5)
     last = int(np.flatnonzero(flown.flying)[-1])
-    volts = flown.raw[last - 5 : last + 6][:, [Channel.FRONT, Channel.BACK]].astype(int)
+    volts = flown.raw[last - 5 : last + 6][:, [d.Channel.FRONT, d.Channel.BACK]].astype(int)
     assert np.abs(np.diff(volts, axis=0)).max() < 60, "more than 60 mV from one tick to the next"
 
 
@@ -204,16 +193,16 @@ def upload_frames(harness: Harness, program: LawProgram, request: int) -> list[b
     return [harness.frame(message) for message in upload_messages(program, request)]
 
 
-def law_on(harness: Harness) -> LawMessage:
+def law_on(harness: Harness) -> d.LawMessage:
     """The board's report of its law to a host that has just reconnected."""
     # Half a frame swallows what follows it, as on a line; a host greets until it is answered.
-    hello = HelloMessage(request=240, link_hash=LINK_HASH, session=2)
+    hello = d.HelloMessage(request=240, link_hash=d.LINK_HASH, session=2)
     greeted = any(
-        payloads_of(harness.turn(harness.frame(hello), ticks=2), MessageId.WELCOME) for _ in range(9)
+        payloads_of(harness.turn(harness.frame(hello), ticks=2), d.MessageId.WELCOME) for _ in range(9)
     )
     assert greeted
-    (payload,) = payloads_of(harness.ask(LawReadMessage(241)), MessageId.LAW)
-    return LawMessage.unpack(payload)
+    (payload,) = payloads_of(harness.ask(d.LawReadMessage(241)), d.MessageId.LAW)
+    return d.LawMessage.unpack(payload)
 
 
 def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
@@ -229,13 +218,13 @@ def test_an_upload_cut_at_every_byte_leaves_the_old_law_or_none() -> None:
             harness.turn(frame[:remaining_bytes], ticks=2)
             remaining_bytes = max(0, remaining_bytes - len(frame))
         law = law_on(harness)
-        if law.state == LawState.READY:
+        if law.state == d.LawState.READY:
             assert law.hash == (new.hash if cut == byte_count else old.hash), cut
         else:
-            assert law.state in (LawState.NONE, LawState.RECEIVING), cut
+            assert law.state in (d.LawState.NONE, d.LawState.RECEIVING), cut
             assert cut < byte_count
-        observed.add((law.state, law.hash if law.state == LawState.READY else 0))
-    assert observed >= {(LawState.READY, old.hash), (LawState.READY, new.hash), (LawState.RECEIVING, 0)}
+        observed.add((law.state, law.hash if law.state == d.LawState.READY else 0))
+    assert observed >= {(d.LawState.READY, old.hash), (d.LawState.READY, new.hash), (d.LawState.RECEIVING, 0)}
 
 
 def test_a_board_that_was_reset_gets_its_law_again_when_it_is_armed() -> None:
@@ -246,10 +235,10 @@ def test_a_board_that_was_reset_gets_its_law_again_when_it_is_armed() -> None:
         assert isinstance(transport, InProcessTransport)
         transport.world.cycle_power()
         assert heli.session.wait_for(lambda: heli.counters.restarts > 0, 8.0)
-        assert loaded(heli.session).state == LawState.NONE
+        assert loaded(heli.session).state == d.LawState.NONE
         heli.take_off()
         assert loaded(heli.session).hash == law.program.hash
-        assert loaded(heli.session).state == LawState.READY
+        assert loaded(heli.session).state == d.LawState.READY
 
 
 def test_a_cable_that_was_out_costs_no_law() -> None:
@@ -269,7 +258,7 @@ def test_from_the_beginning_of_an_upload_to_a_voltage_of_the_law_it_takes_half_a
         acting: list[int] = []
 
         def look(new: Ticks) -> None:
-            flown = new.raw[:, Channel.FLAGS] & Flags.LAW
+            flown = new.raw[:, d.Channel.FLAGS] & d.Flags.LAW
             acting.extend(new.tick[flown != 0].tolist())
 
         heli.session.subscribe_ticks(look)

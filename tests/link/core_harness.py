@@ -5,17 +5,7 @@ from typing import Any, Protocol
 
 import numpy as np
 from heli_host import declaration
-from heli_host.declaration import (
-    LINK_HASH,
-    AckMessage,
-    Channel,
-    HelloMessage,
-    MessageId,
-    Result,
-    StatusMessage,
-    StatusReadMessage,
-    WelcomeMessage,
-)
+from heli_host import declaration as d
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_test_native import link as core_link
 
@@ -27,9 +17,11 @@ PAGE_BYTES = 512
 TO_BOARD: list[Any] = [
     cls
     for cls in vars(declaration).values()
-    if isinstance(cls, type) and getattr(cls, "ID", MessageId.ACK) < MessageId.ACK
+    if isinstance(cls, type) and getattr(cls, "ID", d.MessageId.ACK) < d.MessageId.ACK
 ]
-STREAMS = [cls for cls in TO_BOARD if cls.ID in (MessageId.SETPOINT, MessageId.VOLTAGES, MessageId.FOLLOWING)]
+STREAMS = [
+    cls for cls in TO_BOARD if cls.ID in (d.MessageId.SETPOINT, d.MessageId.VOLTAGES, d.MessageId.FOLLOWING)
+]
 COMMANDS = [cls for cls in TO_BOARD if cls not in STREAMS]
 
 Execute = Callable[[int, bytes], tuple[int, int, float]]
@@ -39,12 +31,12 @@ class Message(Protocol):
     """Interface that the generated message classes share."""
 
     @property
-    def ID(self) -> MessageId: ...
+    def ID(self) -> d.MessageId: ...
     def pack(self) -> bytes: ...
 
 
 def always_ok(_message_id: int, _payload: bytes) -> tuple[int, int, float]:
-    return int(Result.OK), 0, 0.0
+    return int(d.Result.OK), 0, 0.0
 
 
 class Harness:
@@ -88,20 +80,20 @@ class Harness:
             self.streamed.append(value)
         self.tick += 1
 
-    def hello(self, session: int = 1, link_hash: int = LINK_HASH, request: int = 200) -> WelcomeMessage:
-        frames = self.turn(self.frame(HelloMessage(request, link_hash, session)))
-        (welcome,) = [f for f in frames if f.id == MessageId.WELCOME]
-        return WelcomeMessage.unpack(welcome.payload)
+    def hello(self, session: int = 1, link_hash: int = d.LINK_HASH, request: int = 200) -> d.WelcomeMessage:
+        frames = self.turn(self.frame(d.HelloMessage(request, link_hash, session)))
+        (welcome,) = [f for f in frames if f.id == d.MessageId.WELCOME]
+        return d.WelcomeMessage.unpack(welcome.payload)
 
     def ask(self, message: Message) -> list[Frame]:
         """Send a command and let three milliseconds pass: enough for the tick to answer."""
         return self.turn(self.frame(message), ticks=3)
 
-    def status(self) -> StatusMessage:
+    def status(self) -> d.StatusMessage:
         request = 250
-        frames = self.ask(StatusReadMessage(request))
-        (answer,) = [f for f in frames if f.id == MessageId.STATUS and f.payload[0] == request]
-        return StatusMessage.unpack(answer.payload)
+        frames = self.ask(d.StatusReadMessage(request))
+        (answer,) = [f for f in frames if f.id == d.MessageId.STATUS and f.payload[0] == request]
+        return d.StatusMessage.unpack(answer.payload)
 
 
 def named(value: object) -> str | None:
@@ -112,19 +104,19 @@ def named(value: object) -> str | None:
 def open_harness(execute: Execute = always_ok, session: int = 1) -> Harness:
     """One on which the handshake has been made."""
     harness = Harness(execute)
-    assert harness.hello(session).result == Result.OK
+    assert harness.hello(session).result == d.Result.OK
     return harness
 
 
-def payloads_of(frames: list[Frame], message_id: MessageId) -> list[bytes]:
+def payloads_of(frames: list[Frame], message_id: d.MessageId) -> list[bytes]:
     """Payloads of the frames with this id."""
     return [frame.payload for frame in frames if frame.id == message_id]
 
 
-def acks_in(frames: list[Frame]) -> list[AckMessage]:
-    return [AckMessage.unpack(payload) for payload in payloads_of(frames, MessageId.ACK)]
+def acks_in(frames: list[Frame]) -> list[d.AckMessage]:
+    return [d.AckMessage.unpack(payload) for payload in payloads_of(frames, d.MessageId.ACK)]
 
 
 def slowly_changing_samples(count: int) -> np.ndarray:
     """Samples whose channels all move a little, shape (count, channels)."""
-    return np.repeat(np.arange(count, dtype=np.int32)[:, None] % 7, len(Channel), axis=1)
+    return np.repeat(np.arange(count, dtype=np.int32)[:, None] % 7, len(d.Channel), axis=1)

@@ -7,18 +7,7 @@ import zlib
 import numpy as np
 import pytest
 from cobs import cobs
-from heli_host.declaration import (
-    MAX_COMMAND_PAYLOAD,
-    MAX_TELEMETRY_PAYLOAD,
-    PARAMS,
-    PROTOCOL,
-    Channel,
-    MessageId,
-    ParamSetMessage,
-    PingMessage,
-    Result,
-    TelemetryMessage,
-)
+from heli_host import declaration as d
 from heli_host.link.frames import Frame, encode_frame
 from heli_test_native import link as core_link
 from hypothesis import example, given, settings
@@ -70,12 +59,12 @@ def test_cobs_refuses_what_the_cobs_package_refuses(encoded: bytes) -> None:
 
 
 @pytest.mark.medium
-@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=MAX_TELEMETRY_PAYLOAD)), max_size=5))
+@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=d.MAX_TELEMETRY_PAYLOAD)), max_size=5))
 def test_frames_carry_protocol_id_sequence_payload_and_crc(messages: list[tuple[int, bytes]]) -> None:
     writer = core_link.FrameWriter()
     for sequence, (message_id, payload) in enumerate(messages):
         wire = writer.write(message_id, payload)
-        plain = bytes([PROTOCOL, message_id, sequence]) + payload
+        plain = bytes([d.PROTOCOL, message_id, sequence]) + payload
         assert wire == cobs.encode(plain + zlib.crc32(plain).to_bytes(4, "little")) + b"\0"
 
 
@@ -113,18 +102,18 @@ def raw_ticks(draw: st.DrawFn) -> np.ndarray:
 @pytest.mark.slow
 @settings(max_examples=samples(100, 30))
 @given(st.integers(0, 2**32 - 1), raw_ticks())
-@example(2**32 - 3, np.arange(10 * len(Channel), dtype=np.int32).reshape(10, -1))
+@example(2**32 - 3, np.arange(10 * len(d.Channel), dtype=np.int32).reshape(10, -1))
 def test_packed_ticks_come_out_of_the_witness_as_they_were(first_tick: int, raw: np.ndarray) -> None:
     payloads = core_link.pack_telemetry(first_tick, raw)
     assert unpacked(payloads, first_tick) == raw.tolist()
-    assert all(len(payload) <= MAX_TELEMETRY_PAYLOAD for payload in payloads)
+    assert all(len(payload) <= d.MAX_TELEMETRY_PAYLOAD for payload in payloads)
 
 
 @pytest.mark.medium
 @given(st.integers(1, 32), st.sampled_from([0, 1, 2, 7, 8, 127, 128]), st.integers(0, 2**32 - 1))
 def test_a_batch_is_packed_byte_for_byte_as_the_witness_does(count: int, step: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    raw = np.zeros((count, len(Channel)), dtype=np.int32)
+    raw = np.zeros((count, len(d.Channel)), dtype=np.int32)
     raw[:, SIGNED] = np.cumsum(rng.integers(-step, step + 1, (count, len(SIGNED))), axis=0)
     raw[:, UNSIGNED] = rng.integers(0, 2, (count, len(UNSIGNED)))
     payload = core_link.pack_telemetry(1000, raw)[0]
@@ -144,17 +133,17 @@ def test_a_batch_is_packed_byte_for_byte_as_the_witness_does(count: int, step: i
 )
 def test_a_delta_gets_the_narrowest_width_that_holds_it(code: int, deltas: tuple[int, ...]) -> None:
     for delta in deltas:
-        raw = np.zeros((2, len(Channel)), dtype=np.int32)
-        raw[1, Channel.ELEVATION_COUNT] = delta
+        raw = np.zeros((2, len(d.Channel)), dtype=np.int32)
+        raw[1, d.Channel.ELEVATION_COUNT] = delta
         (payload,) = core_link.pack_telemetry(0, raw)
-        widths = payload[TelemetryMessage.STRUCT.size :]
+        widths = payload[d.TelemetryMessage.STRUCT.size :]
         # A byte has the codes of two channels, the first in its lower half.
-        byte, is_upper_half = divmod(Channel.ELEVATION_COUNT, 2)
+        byte, is_upper_half = divmod(d.Channel.ELEVATION_COUNT, 2)
         assert widths[byte] >> (4 * is_upper_half) & 15 == code, delta
 
 
 def test_a_batch_too_large_for_a_frame_is_halved_until_it_fits() -> None:
-    raw = np.zeros((32, len(Channel)), dtype=np.int32)
+    raw = np.zeros((32, len(d.Channel)), dtype=np.int32)
     # Differences of 2^16 - 1 take 32 bits.
     raw[::2, SIGNED] = 2**15 - 1
     raw[1::2, SIGNED] = -(2**15)
@@ -162,7 +151,7 @@ def test_a_batch_too_large_for_a_frame_is_halved_until_it_fits() -> None:
     sizes, remaining = [], raw.tolist()
     while remaining:
         count = len(remaining)
-        while len(reference.telemetry_payload(0, remaining[:count])) > MAX_TELEMETRY_PAYLOAD:
+        while len(reference.telemetry_payload(0, remaining[:count])) > d.MAX_TELEMETRY_PAYLOAD:
             count //= 2
         sizes.append(count)
         remaining = remaining[count:]
@@ -171,7 +160,7 @@ def test_a_batch_too_large_for_a_frame_is_halved_until_it_fits() -> None:
     assert unpacked(payloads, 0) == raw.tolist()
 
 
-payloads = st.binary(max_size=MAX_COMMAND_PAYLOAD)
+payloads = st.binary(max_size=d.MAX_COMMAND_PAYLOAD)
 ids = st.integers(2, 127)  # 1 is hello, with which a host may restart its count
 messages = st.lists(st.tuples(ids, payloads), max_size=12)
 
@@ -249,12 +238,12 @@ def test_empty_frames_are_neither_good_nor_bad() -> None:
 
 def test_a_command_longer_than_any_is_refused_and_counted() -> None:
     parser = core_link.Parser()
-    wire = encode_frame(128, 0, bytes(MAX_COMMAND_PAYLOAD + 1))
+    wire = encode_frame(128, 0, bytes(d.MAX_COMMAND_PAYLOAD + 1))
     assert parser.feed(wire) == []
     assert parser.frames_bad == 1
     assert parser.bytes_dropped == len(wire) - 1
-    assert contents(parser.feed(encode_frame(10, 1, bytes(MAX_COMMAND_PAYLOAD)))) == [
-        (10, bytes(MAX_COMMAND_PAYLOAD))
+    assert contents(parser.feed(encode_frame(10, 1, bytes(d.MAX_COMMAND_PAYLOAD)))) == [
+        (10, bytes(d.MAX_COMMAND_PAYLOAD))
     ]
 
 
@@ -275,14 +264,14 @@ def test_a_repeated_frame_is_not_a_gap_of_255() -> None:
 def test_a_host_that_starts_again_with_hello_loses_nothing() -> None:
     parser = core_link.Parser()
     parser.feed(
-        encode_frame(10, 99, b"") + encode_frame(MessageId.HELLO, 0, bytes(9)) + encode_frame(10, 1, b"")
+        encode_frame(10, 99, b"") + encode_frame(d.MessageId.HELLO, 0, bytes(9)) + encode_frame(10, 1, b"")
     )
     assert parser.frames_lost == 0
 
 
 def test_what_a_noisy_line_delivers_is_always_what_was_sent() -> None:
     rng = random.Random(20240611)
-    sent_values = [rng.randbytes(rng.randrange(MAX_COMMAND_PAYLOAD)) for _ in range(2000)]
+    sent_values = [rng.randbytes(rng.randrange(d.MAX_COMMAND_PAYLOAD)) for _ in range(2000)]
     stream = bytearray(stream_of([(10, payload) for payload in sent_values]))
     for _ in range(300):
         stream[rng.randrange(len(stream))] ^= 1 << rng.randrange(8)
@@ -297,7 +286,7 @@ def test_what_a_noisy_line_delivers_is_always_what_was_sent() -> None:
     assert parser.frames_ok + parser.frames_lost <= 2000
 
 
-BATCH = next(spec for spec in PARAMS if spec.name == "telemetry_batch_ticks")
+BATCH = next(spec for spec in d.PARAMS if spec.name == "telemetry_batch_ticks")
 RING_TICKS = 64
 
 
@@ -308,7 +297,7 @@ def turn_with_sample(harness: Harness, row: np.ndarray, received: bytes = b"") -
 
 
 def batches(frames: list[Frame]) -> list[tuple[int, list[list[int]]]]:
-    return [reference.telemetry_samples(payload) for payload in payloads_of(frames, MessageId.TELEMETRY)]
+    return [reference.telemetry_samples(payload) for payload in payloads_of(frames, d.MessageId.TELEMETRY)]
 
 
 def ticks_of(frames: list[Frame]) -> list[int]:
@@ -317,7 +306,7 @@ def ticks_of(frames: list[Frame]) -> list[int]:
 
 def test_every_tick_of_a_session_arrives_once_and_in_order(harness: Harness) -> None:
     start = harness.tick
-    raw = np.random.default_rng(1).integers(-100, 100, (400, len(Channel))).astype(np.int32)
+    raw = np.random.default_rng(1).integers(-100, 100, (400, len(d.Channel))).astype(np.int32)
     raw[:, UNSIGNED] &= 7
     frames: list[Frame] = []
     for row in raw:
@@ -329,11 +318,11 @@ def test_every_tick_of_a_session_arrives_once_and_in_order(harness: Harness) -> 
 
 
 def test_a_batch_has_as_many_ticks_as_the_parameter_says() -> None:
-    harness = Harness(lambda _id, _payload: (Result.OK, 0, 0.0))
+    harness = Harness(lambda _id, _payload: (d.Result.OK, 0, 0.0))
     harness.hello()
     for count in (20, 4, 32):
         harness.native.params.set(BATCH.index, float(count), idle=True)
-        harness.ask(ParamSetMessage(count, BATCH.index, float(count)))
+        harness.ask(d.ParamSetMessage(count, BATCH.index, float(count)))
         frames = [frame for row in slowly_changing_samples(200) for frame in turn_with_sample(harness, row)]
         sizes = [len(rows) for _, rows in batches(frames)]
         assert sizes[2:]
@@ -386,9 +375,13 @@ def test_replies_leave_before_events_and_events_before_telemetry(harness: Harnes
     harness.room = 0
     harness.native.push_event(0, 1)
     harness.native.push_samples(0, slowly_changing_samples(20))
-    harness.turn(harness.frame(PingMessage(1, 0)), ticks=2)
+    harness.turn(harness.frame(d.PingMessage(1, 0)), ticks=2)
     harness.room = 10000
-    assert [frame.id for frame in harness.turn()] == [MessageId.PONG, MessageId.EVENT, MessageId.TELEMETRY]
+    assert [frame.id for frame in harness.turn()] == [
+        d.MessageId.PONG,
+        d.MessageId.EVENT,
+        d.MessageId.TELEMETRY,
+    ]
 
 
 @pytest.mark.slow
@@ -398,16 +391,18 @@ def test_the_board_never_sends_more_than_there_is_room_for(rooms: list[int]) -> 
     for number, room in enumerate(rooms):
         harness.room = room  # the bench raises when more is sent
         harness.native.push_event(harness.tick, 1)
-        turn_with_sample(harness, slowly_changing_samples(1)[0], harness.frame(PingMessage(number % 256, 0)))
+        turn_with_sample(
+            harness, slowly_changing_samples(1)[0], harness.frame(d.PingMessage(number % 256, 0))
+        )
 
 
 def test_status_comes_once_a_second_by_itself(harness: Harness) -> None:
     frames = harness.turn(ticks=5000)
-    assert [payload[0] for payload in payloads_of(frames, MessageId.STATUS)] == [0] * 5
+    assert [payload[0] for payload in payloads_of(frames, d.MessageId.STATUS)] == [0] * 5
 
 
 def test_of_too_many_events_the_first_sixteen_are_kept(harness: Harness) -> None:
     for tick in range(30):
         harness.native.push_event(tick, 1)
-    events = payloads_of(harness.turn(), MessageId.EVENT)
+    events = payloads_of(harness.turn(), d.MessageId.EVENT)
     assert [event[0] for event in events] == list(range(16))

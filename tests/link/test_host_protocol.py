@@ -6,19 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from heli_host.declaration import (
-    CHANNELS,
-    MAX_COMMAND_PAYLOAD,
-    MAX_TELEMETRY_PAYLOAD,
-    PROTOCOL,
-    Channel,
-    ChannelSpec,
-    Event,
-    EventMessage,
-    Fault,
-    State,
-    Trigger,
-)
+from heli_host import declaration as d
 from heli_host.link.channels import declared
 from heli_host.link.clock import ClockEstimate, ClockFit
 from heli_host.link.events import LinkEvent, event_text
@@ -42,7 +30,7 @@ from tests.link.fake_board import FakeBoard, FakeLine
 from tests.link.fuzz_host import fuzz_host
 from tests.running.long import samples
 
-payloads = st.binary(max_size=MAX_TELEMETRY_PAYLOAD)
+payloads = st.binary(max_size=d.MAX_TELEMETRY_PAYLOAD)
 ids = st.integers(128, 255)
 
 
@@ -125,7 +113,7 @@ def test_a_stream_without_delimiters_takes_bounded_memory_and_is_dropped() -> No
 
 
 def test_another_protocol_version_is_refused() -> None:
-    plain = bytes([PROTOCOL + 1, 130, 0])
+    plain = bytes([d.PROTOCOL + 1, 130, 0])
     frame = reference.cobs_encode(plain + reference.crc32(plain).to_bytes(4, "little")) + b"\0"
     parser = FrameParser()
     assert parser.feed(b"\0" + frame) == []
@@ -133,13 +121,13 @@ def test_another_protocol_version_is_refused() -> None:
 
 
 def test_a_payload_longer_than_the_board_takes_is_refused_before_it_is_sent() -> None:
-    with pytest.raises(ValueError, match=str(MAX_COMMAND_PAYLOAD)):
-        encode_frame(1, 0, bytes(MAX_COMMAND_PAYLOAD + 1))
-    with pytest.raises(ValueError, match=str(MAX_TELEMETRY_PAYLOAD)):
-        encode_frame(133, 0, bytes(MAX_TELEMETRY_PAYLOAD + 1))
+    with pytest.raises(ValueError, match=str(d.MAX_COMMAND_PAYLOAD)):
+        encode_frame(1, 0, bytes(d.MAX_COMMAND_PAYLOAD + 1))
+    with pytest.raises(ValueError, match=str(d.MAX_TELEMETRY_PAYLOAD)):
+        encode_frame(133, 0, bytes(d.MAX_TELEMETRY_PAYLOAD + 1))
 
 
-@pytest.mark.parametrize(("message_id", "size"), [(1, MAX_COMMAND_PAYLOAD), (133, MAX_TELEMETRY_PAYLOAD)])
+@pytest.mark.parametrize(("message_id", "size"), [(1, d.MAX_COMMAND_PAYLOAD), (133, d.MAX_TELEMETRY_PAYLOAD)])
 def test_the_longest_payload_passes(message_id: int, size: int) -> None:
     payload = bytes(k % 251 for k in range(size))
     assert [frame.payload for frame in FrameParser().feed(encode_frame(message_id, 0, payload))] == [payload]
@@ -207,10 +195,10 @@ def test_any_batches_decode_to_what_was_packed(sent: list[Batch]) -> None:
     assert ticks.raw.tolist() == [row for _, rows in sent for row in rows]
 
 
-def channels_of_types(types: list[str]) -> list[ChannelSpec]:
+def channels_of_types(types: list[str]) -> list[d.ChannelSpec]:
     """Channels of these types, one after the other."""
     return [
-        replace(CHANNELS[0], name=f"channel_{number}", code=CODES[wire_type])
+        replace(d.CHANNELS[0], name=f"channel_{number}", code=CODES[wire_type])
         for number, wire_type in enumerate(types)
     ]
 
@@ -233,8 +221,8 @@ def test_wider_deltas_than_needed_decode_alike(sent: Batch, data: st.DataObject)
     first, rows = sent
     narrow = reference.telemetry_payload(first, rows)
     # Behind first tick and count: a code of four bits for the width of each channel's differences.
-    widths = narrow[5 : 5 + (len(CHANNELS) + 1) // 2]
-    codes = [nibble for byte in widths for nibble in (byte % 16, byte // 16)][: len(CHANNELS)]
+    widths = narrow[5 : 5 + (len(d.CHANNELS) + 1) // 2]
+    codes = [nibble for byte in widths for nibble in (byte % 16, byte // 16)][: len(d.CHANNELS)]
     wide = [data.draw(st.integers(code, 5)) for code in codes]
     assert TelemetryDecoder().decode([reference.telemetry_payload(first, rows, wide)]).raw.tolist() == rows
 
@@ -262,7 +250,7 @@ def test_any_payload_decodes_like_the_witness_or_is_refused(payload: bytes) -> N
 
 
 def test_a_malformed_payload_does_not_spoil_its_neighbours() -> None:
-    rows = [[k * (c + 1) for c in range(len(CHANNELS))] for k in range(20)]
+    rows = [[k * (c + 1) for c in range(len(d.CHANNELS))] for k in range(20)]
     good = reference.telemetry_payload(100, rows)
     later = reference.telemetry_payload(120, rows)
     bad_width = bytes([*good[:5], 0x66, *good[6:]])
@@ -275,7 +263,7 @@ def test_a_malformed_payload_does_not_spoil_its_neighbours() -> None:
 
 
 def test_the_last_tick_before_the_counter_wraps_is_followed_by_zero() -> None:
-    ticks = TelemetryDecoder().decode([reference.telemetry_payload(2**32 - 2, [[0] * len(CHANNELS)] * 4)])
+    ticks = TelemetryDecoder().decode([reference.telemetry_payload(2**32 - 2, [[0] * len(d.CHANNELS)] * 4)])
     assert ticks.tick.tolist() == [2**32 - 2, 2**32 - 1, 0, 1]
 
 
@@ -285,7 +273,7 @@ def test_hundreds_of_batches_of_changing_size_keep_their_order() -> None:
     first = 0
     for index in range(600):
         count = 20 if index % 50 else 5 + index % 7
-        columns = range(3, 3 + len(CHANNELS))
+        columns = range(3, 3 + len(d.CHANNELS))
         sent_values.append((first, [[(first + k) * c % 250 for c in columns] for k in range(count)]))
         first += count
     ticks = TelemetryDecoder().decode([reference.telemetry_payload(*batch) for batch in sent_values])
@@ -386,7 +374,7 @@ def test_a_reset_forgets() -> None:
 
 def ticks_of(*numbers: int) -> Ticks:
     tick = np.array([number % 2**32 for number in numbers], np.uint32)
-    return Ticks(tick, np.arange(len(numbers) * len(Channel), dtype=np.int32).reshape(-1, len(Channel)))
+    return Ticks(tick, np.arange(len(numbers) * len(d.Channel), dtype=np.int32).reshape(-1, len(d.Channel)))
 
 
 def test_consecutive_ticks_are_received_and_none_lost() -> None:
@@ -426,25 +414,25 @@ def test_a_jump_back_ends_what_is_accepted() -> None:
     assert (account.received, account.lost, account.last) == (4, 0, 4)
 
 
-def ticks(first: int, *rows: tuple[State, Trigger] | tuple[State, Trigger, Fault]) -> Ticks:
+def ticks(first: int, *rows: tuple[d.State, d.Trigger] | tuple[d.State, d.Trigger, d.Fault]) -> Ticks:
     raw = np.zeros((len(rows), CHANNEL_COUNT), np.int32)
     for row, (state, trigger, *fault) in zip(raw, rows, strict=True):
-        row[Channel.STATE], row[Channel.TRIGGER], row[Channel.FAULT] = state, trigger, sum(fault)
+        row[d.Channel.STATE], row[d.Channel.TRIGGER], row[d.Channel.FAULT] = state, trigger, sum(fault)
     return Ticks(np.arange(first, first + len(rows)).astype(np.uint32), raw)
 
 
-FLYING = (State.CLOSED_LOOP, Trigger.CLOSE_LOOP)
-HOLDING = (State.HOLD, Trigger.STALE_HOLD)
-LANDING = (State.LANDING, Trigger.STALE_LAND)
-LANDED = (State.IDLE, Trigger.STALE_LAND)
-TRIPPED = (State.FAULT, Trigger.TRIP, Fault.PITCH_LIMIT)
+FLYING = (d.State.CLOSED_LOOP, d.Trigger.CLOSE_LOOP)
+HOLDING = (d.State.HOLD, d.Trigger.STALE_HOLD)
+LANDING = (d.State.LANDING, d.Trigger.STALE_LAND)
+LANDED = (d.State.IDLE, d.Trigger.STALE_LAND)
+TRIPPED = (d.State.FAULT, d.Trigger.TRIP, d.Fault.PITCH_LIMIT)
 
 
-def event(tick: int, state: State, cause: Trigger) -> EventMessage:
-    return EventMessage(tick=tick, kind=Event.STATE, detail=state, cause=cause, value=0.0)
+def event(tick: int, state: d.State, cause: d.Trigger) -> d.EventMessage:
+    return d.EventMessage(tick=tick, kind=d.Event.STATE, detail=state, cause=cause, value=0.0)
 
 
-def watching(*flown: tuple[State, Trigger]) -> MissedEvents:
+def watching(*flown: tuple[d.State, d.Trigger]) -> MissedEvents:
     missed = MissedEvents()
     assert missed.take_ticks(ticks(100, *flown)) == []
     return missed
@@ -458,13 +446,13 @@ def test_a_change_with_a_lost_event_is_reported_with_trigger_and_tick() -> None:
     missed = watching(FLYING)
     events = missed.take_ticks(ticks(101, FLYING, HOLDING, HOLDING, LANDING))
     assert events == [
-        event(102, State.HOLD, Trigger.STALE_HOLD),
-        event(104, State.LANDING, Trigger.STALE_LAND),
+        event(102, d.State.HOLD, d.Trigger.STALE_HOLD),
+        event(104, d.State.LANDING, d.Trigger.STALE_LAND),
     ]
     assert missed.take_ticks(ticks(105, LANDING, LANDING)) == []
 
 
-def link_event(tick: int, message: EventMessage | None) -> LinkEvent:
+def link_event(tick: int, message: d.EventMessage | None) -> LinkEvent:
     return LinkEvent(tick, 0, "any", "", message)
 
 
@@ -486,43 +474,43 @@ def test_a_reconstructed_event_stands_after_earlier_and_before_later_ones(base: 
 
 def test_a_change_that_an_event_reported_is_not_reported_again() -> None:
     missed = watching(FLYING)
-    missed.take_event(event(102, State.HOLD, Trigger.STALE_HOLD))
+    missed.take_event(event(102, d.State.HOLD, d.Trigger.STALE_HOLD))
     assert missed.take_ticks(ticks(101, FLYING, HOLDING, LANDING)) == [
-        event(103, State.LANDING, Trigger.STALE_LAND)
+        event(103, d.State.LANDING, d.Trigger.STALE_LAND)
     ]
 
 
 def test_an_event_within_a_gap_of_the_telemetry_counts_and_one_from_before_it_does_not() -> None:
     for tick, missing in ((101, 0), (900, 0), (1000, 0), (100, 1), (1001, 1)):
         missed = watching(FLYING)
-        missed.take_event(event(tick, State.HOLD, Trigger.STALE_HOLD))
+        missed.take_event(event(tick, d.State.HOLD, d.Trigger.STALE_HOLD))
         assert len(missed.take_ticks(ticks(1000, HOLDING))) == missing, tick
 
 
 def test_an_unseen_landing_is_reported_with_its_cause() -> None:
     missed = watching(FLYING)
-    assert missed.take_ticks(ticks(9000, LANDED)) == [event(9000, State.IDLE, Trigger.STALE_LAND)]
+    assert missed.take_ticks(ticks(9000, LANDED)) == [event(9000, d.State.IDLE, d.Trigger.STALE_LAND)]
 
 
 def test_an_unseen_hold_is_reported_although_the_state_is_the_same() -> None:
-    back = (State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
+    back = (d.State.CLOSED_LOOP, d.Trigger.SETPOINT_FRESH)
     assert watching(FLYING).take_ticks(ticks(900, back)) == [
-        event(900, State.CLOSED_LOOP, Trigger.SETPOINT_FRESH)
+        event(900, d.State.CLOSED_LOOP, d.Trigger.SETPOINT_FRESH)
     ]
 
 
 def test_ticks_may_pass_2_to_the_32() -> None:
     missed = MissedEvents()
     missed.take_ticks(ticks(2**32 - 10, FLYING))
-    missed.take_event(event(3, State.HOLD, Trigger.STALE_HOLD))
+    missed.take_event(event(3, d.State.HOLD, d.Trigger.STALE_HOLD))
     assert missed.take_ticks(ticks(5, HOLDING)) == []
 
 
 def test_a_fault_is_reported_by_its_code() -> None:
     missed = watching(FLYING)
-    missed.take_event(event(101, State.FAULT, Trigger.TRIP))
+    missed.take_event(event(101, d.State.FAULT, d.Trigger.TRIP))
     [fault] = missed.take_ticks(ticks(101, TRIPPED, TRIPPED))
-    assert (fault.kind, fault.detail, fault.tick) == (Event.FAULT, Fault.PITCH_LIMIT, 101)
+    assert (fault.kind, fault.detail, fault.tick) == (d.Event.FAULT, d.Fault.PITCH_LIMIT, 101)
     assert math.isnan(fault.value)
     assert "pitch_limit" in event_text(fault) and "nan" not in event_text(fault)
 
@@ -535,7 +523,7 @@ def test_a_session_reports_a_lost_event_once_with_telemetry_as_source(board: Fak
     session.subscribe_events(received.append)
     session.connect()
     session.wait(0.5)
-    board.change_state(State.HOLD, tell=not lost)
+    board.change_state(d.State.HOLD, tell=not lost)
     session.wait(0.5)
     [event] = [event for event in received if event.kind == "state"]
     assert event.text.startswith("state hold, because of ")
@@ -552,15 +540,15 @@ def test_a_million_frames_raise_only_errors_of_the_package() -> None:
 
 @pytest.mark.medium
 @pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, 2.0**127, 0.5])
-@pytest.mark.parametrize("kind", [*Event, 200])
+@pytest.mark.parametrize("kind", [*d.Event, 200])
 def test_an_event_may_carry_any_number(board: FakeBoard, session: Session, kind: int, value: float) -> None:
     session.wait(0.1)
-    board.send(EventMessage(tick=board.tick, kind=kind, detail=1, cause=1, value=value))
+    board.send(d.EventMessage(tick=board.tick, kind=kind, detail=1, cause=1, value=value))
     session.wait_for(lambda: False, 0.5)
     assert session.connected
     assert session.counters.restarts == 0
     [event] = [event for event in session.events if event.message is not None and event.message.kind == kind]
-    assert event.text == event_text(EventMessage(tick=0, kind=kind, detail=1, cause=1, value=value))
+    assert event.text == event_text(d.EventMessage(tick=0, kind=kind, detail=1, cause=1, value=value))
 
 
 def test_a_sample_of_a_state_that_nobody_declared_is_refused_and_counted(board: FakeBoard) -> None:
@@ -571,11 +559,11 @@ def test_a_sample_of_a_state_that_nobody_declared_is_refused_and_counted(board: 
     session.wait(0.1)
     board.state = 9  # type: ignore[assignment]
     session.wait_for(lambda: False, 0.2)
-    board.state = State.IDLE
+    board.state = d.State.IDLE
     session.wait(0.2)
     counters = session.counters
     delivered = sum(map(len, received))
-    assert all(raw in list(State) for ticks in received for raw in ticks.raw[:, Channel.STATE])
+    assert all(raw in list(d.State) for ticks in received for raw in ticks.raw[:, d.Channel.STATE])
     assert counters.frames_bad >= 1
     assert counters.ticks_lost >= 180
     assert counters.ticks_received == delivered
@@ -583,10 +571,10 @@ def test_a_sample_of_a_state_that_nobody_declared_is_refused_and_counted(board: 
 
 
 def test_every_declared_value_passes_and_no_other() -> None:
-    for channel in (Channel.STATE, Channel.FAULT, Channel.TRIGGER):
-        kind = CHANNELS[channel].kind
+    for channel in (d.Channel.STATE, d.Channel.FAULT, d.Channel.TRIGGER):
+        kind = d.CHANNELS[channel].kind
         assert kind is not None
         for number in (*range(-1, 260), 2**31 - 1, -(2**31)):
             raw = np.array([row_of({channel: number})], np.int32)
             assert declared(raw).tolist() == [number in [int(value) for value in kind]], (channel, number)
-    assert declared(np.array([row_of({Channel.FLAGS: 255, Channel.FRONT: -5000})], np.int32)).all()
+    assert declared(np.array([row_of({d.Channel.FLAGS: 255, d.Channel.FRONT: -5000})], np.int32)).all()

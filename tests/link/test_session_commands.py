@@ -7,22 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from heli_host.declaration import (
-    LINK_HASH,
-    LINK_VERSION,
-    AckMessage,
-    ArmMessage,
-    ControlMessage,
-    Fault,
-    MessageId,
-    Param,
-    ParamSetMessage,
-    Result,
-    SetpointMessage,
-    State,
-    StatusMessage,
-    VoltagesMessage,
-)
+from heli_host import declaration as d
 from heli_host.errors import (
     CommandRefused,
     CommandTimeout,
@@ -64,7 +49,7 @@ def test_hello_is_repeated_every_tenth_of_a_second(board: FakeBoard) -> None:
     board.answers_hello = False
     with Session(FakeLine(board), handshake_timeout_s=2.0) as session, pytest.raises(HandshakeTimeout):
         session.connect()
-    assert 18 <= sum(frame.id == MessageId.HELLO for _, frame in board.heard) <= 21
+    assert 18 <= sum(frame.id == d.MessageId.HELLO for _, frame in board.heard) <= 21
 
 
 @pytest.mark.parametrize(
@@ -96,7 +81,7 @@ def test_a_version_mismatch_names_both_versions_and_hashes_at_once(board: FakeBo
     line = FakeLine(board)
     with Session(line) as session, pytest.raises(LinkVersionMismatch) as caught:
         session.connect()
-    for part in (LINK_VERSION, "2.7", f"{LINK_HASH:08x}", "deadbeef", "firmware 0.1.2"):
+    for part in (d.LINK_VERSION, "2.7", f"{d.LINK_HASH:08x}", "deadbeef", "firmware 0.1.2"):
         assert part in str(caught.value)
     assert line.now_s() < 0.5
 
@@ -172,12 +157,12 @@ def test_a_command_whose_acks_are_lost_is_repeated_and_executed_once(
     board: FakeBoard, session: Session
 ) -> None:
     board.lose_replies = 3
-    ack = session.command(ParamSetMessage(0, Param.HOVER_V, 2.5))
+    ack = session.command(d.ParamSetMessage(0, d.Param.HOVER_V, 2.5))
     assert ack.value == 2.5
     assert len(board.executed) == 1
     assert session.counters.retries == 3
-    assert len(ticks_of_received(board, MessageId.PARAM_SET)) == 4
-    assert len({frame.payload for _, frame in board.heard if frame.id == MessageId.PARAM_SET}) == 1
+    assert len(ticks_of_received(board, d.MessageId.PARAM_SET)) == 4
+    assert len({frame.payload for _, frame in board.heard if frame.id == d.MessageId.PARAM_SET}) == 1
 
 
 def test_a_command_that_is_lost_on_its_way_is_repeated(
@@ -192,7 +177,7 @@ def test_a_command_that_is_lost_on_its_way_is_repeated(
         return data
 
     line._to_board = lose_two
-    session.command(ArmMessage(0))
+    session.command(d.ArmMessage(0))
     assert len(board.executed) == 1
     assert session.counters.retries == 2
 
@@ -202,7 +187,7 @@ def test_repeated_acks_are_not_taken_for_answers_to_later_commands(
 ) -> None:
     board.repeat_replies = 3
     for index in range(20):
-        assert session.command(ParamSetMessage(0, Param.HOVER_V, index / 8)).value == index / 8
+        assert session.command(d.ParamSetMessage(0, d.Param.HOVER_V, index / 8)).value == index / 8
     assert len(board.executed) == 20
     assert session.counters.retries == 0
 
@@ -210,15 +195,17 @@ def test_repeated_acks_are_not_taken_for_answers_to_later_commands(
 def test_a_late_ack_of_the_same_command_is_not_taken_for_the_answer_to_a_new_one(
     board: FakeBoard, session: Session
 ) -> None:
-    session.command(ParamSetMessage(0, Param.HOVER_V, 1.0))
-    late = ParamSetMessage.unpack(
-        next(frame for _, frame in board.heard if frame.id == MessageId.PARAM_SET).payload
+    session.command(d.ParamSetMessage(0, d.Param.HOVER_V, 1.0))
+    late = d.ParamSetMessage.unpack(
+        next(frame for _, frame in board.heard if frame.id == d.MessageId.PARAM_SET).payload
     )
     board.lose_replies = 1
     board.send(
-        AckMessage(request=late.request, command=MessageId.PARAM_SET, result=Result.OK, detail=0, value=1.0)
+        d.AckMessage(
+            request=late.request, command=d.MessageId.PARAM_SET, result=d.Result.OK, detail=0, value=1.0
+        )
     )
-    assert session.command(ParamSetMessage(0, Param.HOVER_V, 2.0)).value == 2.0
+    assert session.command(d.ParamSetMessage(0, d.Param.HOVER_V, 2.0)).value == 2.0
     assert session.counters.retries == 1
 
 
@@ -227,7 +214,7 @@ def test_a_command_without_any_answer_times_out_at_its_deadline(board: FakeBoard
     board.lose_replies = 10**6
     began_s = session.transport.now_s()
     with pytest.raises(CommandTimeout, match=r"did not answer arm in [0-9]+ tries"):
-        session.command(ArmMessage(0), timeout_s=1.5)
+        session.command(d.ArmMessage(0), timeout_s=1.5)
     assert 1.5 <= session.transport.now_s() - began_s < 1.52
     assert len(board.executed) == 1
 
@@ -237,17 +224,17 @@ def test_three_hundred_commands_wrap_the_request_number_without_confusion(
     board: FakeBoard, session: Session
 ) -> None:
     for index in range(300):
-        session.command(ParamSetMessage(0, Param.ELEVATION_KP, index / 64))
-    assert [ParamSetMessage.unpack(b"\0" + done[1:]).value for done in board.executed] == [
+        session.command(d.ParamSetMessage(0, d.Param.ELEVATION_KP, index / 64))
+    assert [d.ParamSetMessage.unpack(b"\0" + done[1:]).value for done in board.executed] == [
         index / 64 for index in range(300)
     ]
 
 
 def test_a_failed_check_names_the_fault_its_limit_and_the_remedy(session: Session, board: FakeBoard) -> None:
-    board.refusals[MessageId.ARM] = (Result.CHECK_FAILED, Fault.NOT_AT_REST, -17.5)
+    board.refusals[d.MessageId.ARM] = (d.Result.CHECK_FAILED, d.Fault.NOT_AT_REST, -17.5)
     with pytest.raises(CommandRefused) as caught:
-        session.command(ArmMessage(0))
-    assert caught.value.fault is Fault.NOT_AT_REST
+        session.command(d.ArmMessage(0))
+    assert caught.value.fault is d.Fault.NOT_AT_REST
     assert caught.value.parameter == "arm_elevation_tolerance_deg"
     for part in ("arm", "not_at_rest", "does not rest on the table", "-17.5", "let it rest on the table"):
         assert part in str(caught.value)
@@ -255,31 +242,31 @@ def test_a_failed_check_names_the_fault_its_limit_and_the_remedy(session: Sessio
 
 
 def test_a_wrong_state_names_the_state_and_what_to_do_first(session: Session, board: FakeBoard) -> None:
-    board.refusals[MessageId.CONTROL] = (Result.BAD_STATE, State.FAULT, 0.0)
+    board.refusals[d.MessageId.CONTROL] = (d.Result.BAD_STATE, d.State.FAULT, 0.0)
     with pytest.raises(
         CommandRefused, match=r"control: not allowed in state fault; .*clear the fault"
     ) as caught:
-        session.command(ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
-    assert caught.value.state is State.FAULT
+        session.command(d.ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
+    assert caught.value.state is d.State.FAULT
 
 
 @pytest.mark.parametrize("result", [result for result in range(14) if result])
 @pytest.mark.parametrize("detail", [0, 3, 22, 255])
 def test_every_refusal_is_one_line_with_a_remedy(result: int, detail: int) -> None:
-    error = CommandRefused(MessageId.PARAM_SET, result, detail, 1.0)
+    error = CommandRefused(d.MessageId.PARAM_SET, result, detail, 1.0)
     assert "\n" not in str(error)
     assert error.cause
     assert error.remedy
 
 
 def test_all_parameters_arrive_over_several_replies(session: Session, board: FakeBoard) -> None:
-    board.params = [index / 4 for index in range(len(Param))]
+    board.params = [index / 4 for index in range(len(d.Param))]
     assert list(session.read_params()) == board.params
 
 
 @pytest.mark.medium
 def test_status_is_read_and_also_comes_by_itself(session: Session) -> None:
-    received: list[StatusMessage] = []
+    received: list[d.StatusMessage] = []
     session.subscribe_status(received.append)
     assert session.status().illegal_travel == ILLEGAL_TRAVEL
     received.clear()
@@ -292,7 +279,7 @@ def test_a_board_that_forgot_the_session_is_greeted_again_and_the_command_execut
     board: FakeBoard, session: Session
 ) -> None:
     board.open = False
-    assert session.command(ArmMessage(0)).result == Result.OK
+    assert session.command(d.ArmMessage(0)).result == d.Result.OK
     assert len(board.executed) == 1
     assert session.counters.reconnects == 1
 
@@ -309,7 +296,7 @@ def test_a_command_is_not_repeated_to_a_board_that_restarted(board: FakeBoard, s
 
     board._execute = execute_then_die  # type: ignore[method-assign]
     with pytest.raises(LinkLost, match="the board restarted \\(watchdog\\) before it answered"):
-        session.command(ArmMessage(0))
+        session.command(d.ArmMessage(0))
     assert len(board.executed) == 1
     assert session.counters.restarts == 1
 
@@ -326,26 +313,26 @@ def test_setpoints_go_out_at_200_Hz_at_most_and_the_latest_wins(board: FakeBoard
     first_tick = board.tick
     for index in range(1000):
         session.stream(
-            SetpointMessage(apply_tick=0, elevation_rad=index * 1e-3, pitch_rad=0.0, travel_rad=0.0)
+            d.SetpointMessage(apply_tick=0, elevation_rad=index * 1e-3, pitch_rad=0.0, travel_rad=0.0)
         )
         if index % 10 == 9:
             session.wait_for(lambda: False, 0.01)
     session.wait_for(lambda: False, 0.05)
-    ticks = ticks_of_received(board, MessageId.SETPOINT)
+    ticks = ticks_of_received(board, d.MessageId.SETPOINT)
     counters = session.counters
     assert len(ticks) <= (board.tick - first_tick) / 5 + 1
     assert len(ticks) == counters.setpoints_sent
     assert counters.setpoints_sent + counters.setpoints_skipped == 1000
-    last = [frame for _, frame in board.heard if frame.id == MessageId.SETPOINT][-1]
-    assert math.isclose(SetpointMessage.unpack(last.payload).elevation_rad, 0.999, rel_tol=1e-6)
+    last = [frame for _, frame in board.heard if frame.id == d.MessageId.SETPOINT][-1]
+    assert math.isclose(d.SetpointMessage.unpack(last.payload).elevation_rad, 0.999, rel_tol=1e-6)
 
 
 def test_voltages_go_out_at_500_Hz_at_most(board: FakeBoard, session: Session) -> None:
     first_tick = board.tick
     for _ in range(500):
-        session.stream(VoltagesMessage(front_V=1.0, back_V=2.0, valid_ms=50))
+        session.stream(d.VoltagesMessage(front_V=1.0, back_V=2.0, valid_ms=50))
         session.wait_for(lambda: False, 0.001)
-    assert 200 <= len(ticks_of_received(board, MessageId.VOLTAGES)) <= (board.tick - first_tick) / 2 + 1
+    assert 200 <= len(ticks_of_received(board, d.MessageId.VOLTAGES)) <= (board.tick - first_tick) / 2 + 1
     assert session.counters.voltages_skipped > 0
 
 
@@ -353,37 +340,37 @@ def test_voltages_go_out_at_500_Hz_at_most(board: FakeBoard, session: Session) -
 def test_the_last_setpoint_is_kept_fresh_only_while_the_board_flies_on_setpoints(
     board: FakeBoard, session: Session
 ) -> None:
-    session.keep_alive(SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
+    session.keep_alive(d.SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
     session.wait(1.0)
-    assert ticks_of_received(board, MessageId.SETPOINT) == []
-    session.command(ArmMessage(0))
-    session.command(ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
+    assert ticks_of_received(board, d.MessageId.SETPOINT) == []
+    session.command(d.ArmMessage(0))
+    session.command(d.ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
     session.wait(0.2)
-    began = len(ticks_of_received(board, MessageId.SETPOINT))
+    began = len(ticks_of_received(board, d.MessageId.SETPOINT))
     session.wait(5.0)
-    ticks = ticks_of_received(board, MessageId.SETPOINT)[began:]
+    ticks = ticks_of_received(board, d.MessageId.SETPOINT)[began:]
     assert max(later - sooner for sooner, later in itertools.pairwise(ticks)) <= 120
     session.keep_alive(None)
     session.wait(0.1)
-    before = len(ticks_of_received(board, MessageId.SETPOINT))
+    before = len(ticks_of_received(board, d.MessageId.SETPOINT))
     session.wait(1.0)
-    assert len(ticks_of_received(board, MessageId.SETPOINT)) == before
+    assert len(ticks_of_received(board, d.MessageId.SETPOINT)) == before
 
 
 def test_an_ack_for_another_command_with_the_same_number_is_no_answer(
     board: FakeBoard, session: Session
 ) -> None:
     board.lose_replies = 1
-    request = session._engine.commands.ask(ArmMessage(0), session.transport.now_s(), 1.0)
+    request = session._engine.commands.ask(d.ArmMessage(0), session.transport.now_s(), 1.0)
     board.send(
-        AckMessage(
-            request=request.command.request, command=MessageId.STOP, result=Result.OK, detail=0, value=0.0
+        d.AckMessage(
+            request=request.command.request, command=d.MessageId.STOP, result=d.Result.OK, detail=0, value=0.0
         )
     )
     session.wait_for(lambda: False, 0.01)
     assert not request.done
     session.wait_for(lambda: request.done, 0.5)
-    assert request.answer().payload[1] == MessageId.ARM
+    assert request.answer().payload[1] == d.MessageId.ARM
 
 
 def collected(session: Session) -> list[Ticks]:
@@ -439,7 +426,7 @@ def test_a_command_under_way_when_the_cable_is_pulled_is_executed_once(
     session.wait(0.5)
     board.lose_replies = 1
     line.out_at_s = (line.now_s() + 0.01, line.now_s() + 0.7)
-    assert session.command(ParamSetMessage(0, Param.HOVER_V, 2.0)).value == 2.0
+    assert session.command(d.ParamSetMessage(0, d.Param.HOVER_V, 2.0)).value == 2.0
     assert len(board.executed) == 1
 
 
@@ -452,7 +439,7 @@ def test_a_cable_that_stays_out_ends_in_one_line_after_the_time_given(line: Fake
         session.wait(60.0)
     assert 4.0 <= line.now_s() < 4.3
     with pytest.raises(LinkLost):
-        session.command(ArmMessage(0))
+        session.command(d.ArmMessage(0))
 
 
 @pytest.mark.medium
@@ -551,7 +538,7 @@ def test_a_damaged_line_delivers_no_wrong_tick_and_counts_what_is_missing(
     commands = samples(60, 15)
     for index in range(commands):
         value = index / 16
-        assert session.command(ParamSetMessage(0, Param.HOVER_V, value), timeout_s=5.0).value == value
+        assert session.command(d.ParamSetMessage(0, d.Param.HOVER_V, value), timeout_s=5.0).value == value
         session.wait(0.5)
     counters = session.counters
     assert_true(seen)
@@ -561,7 +548,7 @@ def test_a_damaged_line_delivers_no_wrong_tick_and_counts_what_is_missing(
     assert counters.ticks_lost > 0
     assert counters.ticks_received == len(tick)
     assert counters.ticks_received + counters.ticks_lost == span(seen)
-    assert [ParamSetMessage.unpack(b"\0" + done[1:]).value for done in board.executed] == [
+    assert [d.ParamSetMessage.unpack(b"\0" + done[1:]).value for done in board.executed] == [
         index / 16 for index in range(commands)
     ]
 
@@ -582,13 +569,13 @@ def test_what_a_callback_raises_reaches_the_user_once_and_the_session_lives() ->
     assert isinstance(caught.value.__cause__, ZeroDivisionError)
     session.wait(1.0)
     assert len(calls) == 1
-    assert session.command(ArmMessage(0)).result == Result.OK
+    assert session.command(d.ArmMessage(0)).result == d.Result.OK
 
 
 @pytest.mark.medium
 def test_a_callback_may_send_commands_in_lockstep(board: FakeBoard, session: Session) -> None:
     session.wait(0.1)
-    unsubscribe = session.subscribe_ticks(lambda ticks: (unsubscribe(), session.command(ArmMessage(0)))[0])
+    unsubscribe = session.subscribe_ticks(lambda ticks: (unsubscribe(), session.command(d.ArmMessage(0)))[0])
     session.wait(0.5)
     assert len(board.executed) == 1
 

@@ -10,26 +10,11 @@ from typing import Any
 import heli_host
 import numpy as np
 import pytest
+from heli_host import declaration as d
 from heli_host import errors
 from heli_host.board.heli import Heli
 from heli_host.board.parameters import parameters_text, read_parameter_set
 from heli_host.board.samples import Sample, SampleRing, Samples
-from heli_host.declaration import (
-    AXES,
-    FAULTS,
-    PARAMS,
-    PARAMS_HASH,
-    Channel,
-    Excitation,
-    ExciteMessage,
-    MessageId,
-    Param,
-    ParamSetMessage,
-    Result,
-    SetpointMessage,
-    State,
-    VoltagesMessage,
-)
 from heli_host.errors import (
     CommandRefused,
     ControllerError,
@@ -57,14 +42,16 @@ def connected(board: FakeBoard, **options: Any) -> Heli:
     return Heli(session, **options)
 
 
-def setpoints(board: FakeBoard) -> list[SetpointMessage]:
+def setpoints(board: FakeBoard) -> list[d.SetpointMessage]:
     return [
-        SetpointMessage.unpack(frame.payload) for _, frame in board.heard if frame.id == MessageId.SETPOINT
+        d.SetpointMessage.unpack(frame.payload)
+        for _, frame in board.heard
+        if frame.id == d.MessageId.SETPOINT
     ]
 
 
-def executed(board: FakeBoard) -> list[MessageId]:
-    return [MessageId(done[0]) for done in board.executed]
+def executed(board: FakeBoard) -> list[d.MessageId]:
+    return [d.MessageId(done[0]) for done in board.executed]
 
 
 @pytest.mark.medium
@@ -75,25 +62,27 @@ def test_samples_are_the_raw_channels_in_units(heli: Heli) -> None:
     assert (np.diff(samples.tick) == 1).all()
     np.testing.assert_allclose(samples.t_s, samples.tick * 1e-3)
     raw = np.array([truth(int(tick)) for tick in samples.tick])
-    for axis in AXES:
-        counts = raw[:, Channel[f"{axis}_count".upper()]]
+    for axis in d.AXES:
+        counts = raw[:, d.Channel[f"{axis}_count".upper()]]
         np.testing.assert_allclose(getattr(samples, f"{axis}_rad"), counts * RAD_PER_COUNT)
-        setpoints_raw = raw[:, Channel[f"{axis}_setpoint".upper()]]
+        setpoints_raw = raw[:, d.Channel[f"{axis}_setpoint".upper()]]
         np.testing.assert_allclose(getattr(samples, f"{axis}_setpoint_rad"), setpoints_raw * 1e-5)
-    np.testing.assert_allclose(samples.front_V, raw[:, Channel.FRONT] * 1e-3)
-    np.testing.assert_allclose(samples.back_V, raw[:, Channel.BACK] * 1e-3)
+    np.testing.assert_allclose(samples.front_V, raw[:, d.Channel.FRONT] * 1e-3)
+    np.testing.assert_allclose(samples.back_V, raw[:, d.Channel.BACK] * 1e-3)
     latest = heli.latest
     assert latest.tick == samples.tick[-1]
-    for axis in AXES:
+    for axis in d.AXES:
         angle_rad = getattr(samples, f"{axis}_rad")[-1]
         assert getattr(latest, f"{axis}_deg") == pytest.approx(math.degrees(angle_rad))
-    assert latest.state is State.IDLE
+    assert latest.state is d.State.IDLE
 
 
 def test_a_negative_count_parameter_reverses_on_the_board_not_again_here(board: FakeBoard) -> None:
-    board.params[Param.PITCH_COUNTS_PER_REV] = -2048.0
+    board.params[d.Param.PITCH_COUNTS_PER_REV] = -2048.0
     sample = connected(board).latest
-    assert sample.pitch_rad == pytest.approx(truth(sample.tick)[Channel.PITCH_COUNT] * 2.0 * math.pi / 2048.0)
+    assert sample.pitch_rad == pytest.approx(
+        truth(sample.tick)[d.Channel.PITCH_COUNT] * 2.0 * math.pi / 2048.0
+    )
 
 
 def test_the_ring_keeps_the_newest_whatever_the_pieces() -> None:
@@ -101,7 +90,7 @@ def test_the_ring_keeps_the_newest_whatever_the_pieces() -> None:
     tick = 2**32 - 150
     for size in (1, 99, 100, 30, 70, 250, 7):
         numbers = (np.arange(size) + tick).astype(np.uint32)
-        ring.append(Ticks(numbers, np.repeat(numbers.view(np.int32)[:, None], len(Channel), axis=1)))
+        ring.append(Ticks(numbers, np.repeat(numbers.view(np.int32)[:, None], len(d.Channel), axis=1)))
         tick += size
     newest = ring.newest()
     assert newest.tick.tolist() == [(tick - 100 + k) % 2**32 for k in range(100)]
@@ -113,15 +102,15 @@ def test_leaving_the_block_stops_motors_where_asked_to(board: FakeBoard) -> None
     with connected(board, land_on_exit=False) as heli:
         heli.arm()
         heli.control()
-    assert executed(board)[-1] == MessageId.STOP
-    assert board.state is State.IDLE
+    assert executed(board)[-1] == d.MessageId.STOP
+    assert board.state is d.State.IDLE
 
 
 def test_leaving_the_block_by_an_error_on_the_table_stops_the_motors(heli: Heli, board: FakeBoard) -> None:
     with pytest.raises(KeyboardInterrupt), heli:
         heli.arm()
         raise KeyboardInterrupt
-    assert executed(board) == [MessageId.ARM, MessageId.STOP]
+    assert executed(board) == [d.MessageId.ARM, d.MessageId.STOP]
 
 
 def test_a_heli_without_a_function_for_plans_says_where_it_is(heli: Heli, board: FakeBoard) -> None:
@@ -138,14 +127,14 @@ def test_a_failed_callback_does_not_keep_the_motors_running(heli: Heli, board: F
         heli.arm()
         heli.on_ticks(fail)
         heli.wait(1.0)
-    assert executed(board)[-1] == MessageId.STOP
+    assert executed(board)[-1] == d.MessageId.STOP
 
 
 def test_leaving_the_block_in_the_air_lands(heli: Heli, board: FakeBoard) -> None:
     with heli:
         heli.arm()
         heli.control()
-    assert executed(board)[-1] == MessageId.LAND
+    assert executed(board)[-1] == d.MessageId.LAND
 
 
 def test_a_landing_of_the_board_is_waited_for_and_not_cut(heli: Heli, board: FakeBoard) -> None:
@@ -153,19 +142,19 @@ def test_a_landing_of_the_board_is_waited_for_and_not_cut(heli: Heli, board: Fak
     with heli:
         heli.arm()
         heli.control()
-        board.state = State.EMERGENCY_LANDING
+        board.state = d.State.EMERGENCY_LANDING
         heli.wait(0.1)
         landed_tick = heli.latest.tick + round(1.8e3 * heli.params["landing_timeout_s"])
 
         def land(samples: Samples) -> None:
             if len(samples) and samples.tick[-1] >= landed_tick:
-                board.state = State.FAULT
+                board.state = d.State.FAULT
 
         heli.on_ticks(land)
         with pytest.raises(heli_host.HeliError, match="fault "):
             heli.land()
         assert heli.latest.tick >= landed_tick
-    assert MessageId.STOP not in executed(board)
+    assert d.MessageId.STOP not in executed(board)
 
 
 def test_leaving_the_block_while_idle_commands_nothing(heli: Heli, board: FakeBoard) -> None:
@@ -244,7 +233,7 @@ def test_a_setpoint_outside_the_boards_limits_is_not_sent(
 
 
 def test_limits_are_those_of_the_boards_parameters(board: FakeBoard) -> None:
-    board.params[Param.ELEVATION_MAX_DEG] = 12.0
+    board.params[d.Param.ELEVATION_MAX_DEG] = 12.0
     with pytest.raises(SetpointError, match="-26 to 10 degrees"):
         connected(board).setpoint(elevation_deg=11.0)
 
@@ -255,17 +244,19 @@ def test_voltages_outside_the_boards_limits_are_not_sent(board: FakeBoard, heli:
     heli.voltages(front_V=2.0, back_V=3.0, valid_s=0.02)
     heli.wait(0.01)
     sent_values = [
-        VoltagesMessage.unpack(frame.payload) for _, frame in board.heard if frame.id == MessageId.VOLTAGES
+        d.VoltagesMessage.unpack(frame.payload)
+        for _, frame in board.heard
+        if frame.id == d.MessageId.VOLTAGES
     ]
-    assert sent_values == [VoltagesMessage(front_V=2.0, back_V=3.0, valid_ms=20)]
+    assert sent_values == [d.VoltagesMessage(front_V=2.0, back_V=3.0, valid_ms=20)]
 
 
 def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones(board: FakeBoard, heli: Heli) -> None:
     heli.excite("chirp", front_V=0.25, back_V=-0.5, start_Hz=0.5, stop_Hz=4.0, duration_s=8.0)
-    sent = ExciteMessage.unpack(b"\0" + board.executed[-1][1:])
-    assert sent == ExciteMessage(
+    sent = d.ExciteMessage.unpack(b"\0" + board.executed[-1][1:])
+    assert sent == d.ExciteMessage(
         request=0,
-        kind=Excitation.CHIRP,
+        kind=d.Excitation.CHIRP,
         front_V=0.25,
         back_V=-0.5,
         start_Hz=0.5,
@@ -281,18 +272,18 @@ def test_excitations_go_by_name_and_a_wrong_name_lists_the_right_ones(board: Fak
 def test_waiting_for_what_does_not_happen_ends_in_device_time(heli: Heli) -> None:
     began = heli.latest.tick
     with pytest.raises(WaitTimeout, match="did not happen within 2 s"):
-        heli.wait_until(lambda sample: sample.state is State.FAULT, 2.0)
+        heli.wait_until(lambda sample: sample.state is d.State.FAULT, 2.0)
     assert 2000 <= heli.latest.tick - began <= 2100
 
 
 def test_parameters_read_set_and_save_by_name(board: FakeBoard, heli: Heli) -> None:
-    assert heli.params["hover_V"] == PARAMS[Param.HOVER_V].default
+    assert heli.params["hover_V"] == d.PARAMS[d.Param.HOVER_V].default
     heli.params["elevation_kd"] = 0.35
     assert heli.params["elevation_kd"] == 0.35
-    assert board.params[Param.ELEVATION_KD] == pytest.approx(0.35)
+    assert board.params[d.Param.ELEVATION_KD] == pytest.approx(0.35)
     heli.params.save()
-    assert executed(board) == [MessageId.PARAM_SET, MessageId.PARAMS_SAVE]
-    assert list(heli.params) == [spec.name for spec in PARAMS]
+    assert executed(board) == [d.MessageId.PARAM_SET, d.MessageId.PARAMS_SAVE]
+    assert list(heli.params) == [spec.name for spec in d.PARAMS]
 
 
 @pytest.mark.parametrize(
@@ -328,9 +319,9 @@ def test_a_dump_of_which_one_value_is_refused_changes_nothing(board: FakeBoard, 
     execute = board._execute
 
     def refuse_supply(frame: Frame) -> bytes:
-        is_set = frame.id == MessageId.PARAM_SET
-        if is_set and ParamSetMessage.unpack(frame.payload).index == Param.SUPPLY_V:
-            board.refusals[MessageId.PARAM_SET] = (Result.UNSAFE_NOW, Param.SUPPLY_V, 0.0)
+        is_set = frame.id == d.MessageId.PARAM_SET
+        if is_set and d.ParamSetMessage.unpack(frame.payload).index == d.Param.SUPPLY_V:
+            board.refusals[d.MessageId.PARAM_SET] = (d.Result.UNSAFE_NOW, d.Param.SUPPLY_V, 0.0)
         reply = execute(frame)
         board.refusals.clear()
         return reply
@@ -366,8 +357,8 @@ def test_a_control_law_runs_on_device_time_and_hands_over_to_the_board_afterward
     assert report.clipped == 100
     assert report.rate_Hz == pytest.approx(50.0)
     assert (np.diff(received) == 20).all()
-    assert board.state is State.CLOSED_LOOP
-    assert board.params[Param.TELEMETRY_BATCH_TICKS] == PARAMS[Param.TELEMETRY_BATCH_TICKS].default
+    assert board.state is d.State.CLOSED_LOOP
+    assert board.params[d.Param.TELEMETRY_BATCH_TICKS] == d.PARAMS[d.Param.TELEMETRY_BATCH_TICKS].default
     assert "100 calls at 50.0 Hz" in str(report)
 
 
@@ -385,8 +376,8 @@ def test_a_control_law_that_fails_leaves_the_board_holding_its_position(
     heli.arm()
     with pytest.raises(ControllerError, match=words):
         heli.run_controller(law, duration_s=1.0)
-    assert board.state is State.CLOSED_LOOP
-    assert board.params[Param.TELEMETRY_BATCH_TICKS] == PARAMS[Param.TELEMETRY_BATCH_TICKS].default
+    assert board.state is d.State.CLOSED_LOOP
+    assert board.params[d.Param.TELEMETRY_BATCH_TICKS] == d.PARAMS[d.Param.TELEMETRY_BATCH_TICKS].default
 
 
 @pytest.fixture
@@ -464,7 +455,7 @@ def test_a_setpoint_for_a_board_whose_loops_are_open_is_an_error(board: FakeBoar
     heli.setpoint(elevation_deg=1.0)
 
 
-DEFAULTS = {spec.name: spec.default for spec in PARAMS}
+DEFAULTS = {spec.name: spec.default for spec in d.PARAMS}
 
 
 def written(folder: Path, *changes: tuple[str, str]) -> Path:
@@ -478,7 +469,7 @@ def written(folder: Path, *changes: tuple[str, str]) -> Path:
     return file
 
 
-OTHER = (f"{PARAMS_HASH:08x}", f"{PARAMS_HASH ^ 1:08x}")
+OTHER = (f"{d.PARAMS_HASH:08x}", f"{d.PARAMS_HASH ^ 1:08x}")
 
 
 def test_a_file_of_the_same_schema_is_taken_whole(tmp_path: Path) -> None:
@@ -491,7 +482,7 @@ def test_a_file_of_another_schema_keeps_what_is_known(tmp_path: Path) -> None:
     changes = (OTHER, ("hover_slope =", "hover_curve ="))
     parameter_set = read_parameter_set(written(tmp_path, *changes))
     assert parameter_set.values["hover_V"] == 1.75
-    assert len(parameter_set.values) == len(PARAMS) - 1
+    assert len(parameter_set.values) == len(d.PARAMS) - 1
     assert parameter_set.dropped == ("unknown parameter hover_curve",)
     assert parameter_set.new == ("hover_slope",)
 
@@ -578,7 +569,7 @@ def test_a_message_is_one_line_whatever_goes_into_it() -> None:
 
 
 def test_every_fault_says_its_name_its_limit_and_its_remedy() -> None:
-    for spec in FAULTS:
+    for spec in d.FAULTS:
         text = errors.fault_text(spec.code)
         assert text.startswith(f"{spec.name}: ")
         assert text.endswith(spec.remedy)
@@ -588,8 +579,8 @@ def test_every_fault_says_its_name_its_limit_and_its_remedy() -> None:
 
 
 def test_every_parameter_says_its_range_in_words() -> None:
-    for spec in PARAMS:
-        text = errors.range_text(Param(spec.index))
+    for spec in d.PARAMS:
+        text = errors.range_text(d.Param(spec.index))
         if spec.name.endswith("_sign"):
             assert text == "-1 or 1"
             continue

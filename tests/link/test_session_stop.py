@@ -12,15 +12,7 @@ from pathlib import Path
 
 import heli_host
 import pytest
-from heli_host.declaration import (
-    ArmMessage,
-    ControlMessage,
-    MessageId,
-    Param,
-    ParamSetMessage,
-    SetpointMessage,
-    State,
-)
+from heli_host import declaration as d
 from heli_host.errors import BadBaud, HeliError, LinkError, LinkLost, PortError
 from heli_host.link.engine import Engine, RequestNumbers
 from heli_host.link.events import LINK_LOST, LINK_RESTORED
@@ -35,29 +27,29 @@ from tests.link.fake_board import FakeBoard, FakeLine, PtyBoard, ticks_of_receiv
 def test_stop_returns_before_its_answer_and_is_repeated_until_it_comes(
     board: FakeBoard, session: Session
 ) -> None:
-    session.command(ArmMessage(0))
+    session.command(d.ArmMessage(0))
     board.lose_replies = 2
     session.stop_now()
     session.wait(1.0)
-    assert len(ticks_of_received(board, MessageId.STOP)) == 3
-    assert board.state == State.IDLE
+    assert len(ticks_of_received(board, d.MessageId.STOP)) == 3
+    assert board.state == d.State.IDLE
 
 
 def test_stop_goes_out_while_another_command_waits_for_an_answer_that_does_not_come(
     board: FakeBoard, session: Session
 ) -> None:
-    session.command(ArmMessage(0))
+    session.command(d.ArmMessage(0))
     board.lose_replies = 10_000
     ended: list[LinkError] = []
 
     def set_parameter() -> None:
         with pytest.raises(LinkError, match="stop came before the board answered param_set") as caught:
-            session.command(ParamSetMessage(0, Param.HOVER_V, 2.0), timeout_s=1000.0)
+            session.command(d.ParamSetMessage(0, d.Param.HOVER_V, 2.0), timeout_s=1000.0)
         ended.append(caught.value)
 
     # The first try of the parameter is heard while `set_parameter` waits; the stop comes from its callback.
     def stop_when_heard(_: object) -> None:
-        if ticks_of_received(board, MessageId.PARAM_SET) and not ticks_of_received(board, MessageId.STOP):
+        if ticks_of_received(board, d.MessageId.PARAM_SET) and not ticks_of_received(board, d.MessageId.STOP):
             session.stop_now()
             board.lose_replies = 0
 
@@ -65,22 +57,22 @@ def test_stop_goes_out_while_another_command_waits_for_an_answer_that_does_not_c
     set_parameter()
     session.wait(0.2)
     assert ended
-    assert ticks_of_received(board, MessageId.STOP)
-    assert board.state == State.IDLE
+    assert ticks_of_received(board, d.MessageId.STOP)
+    assert board.state == d.State.IDLE
 
 
 def test_nothing_that_starts_motors_is_sent_after_a_stop_until_it_is_released(
     board: FakeBoard, session: Session
 ) -> None:
     session.stop_now()
-    for command in (ArmMessage(0), ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0)):
+    for command in (d.ArmMessage(0), d.ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0)):
         with pytest.raises(LinkError, match="a stop cancelled this command"):
             session.command(command)
-    assert not ticks_of_received(board, MessageId.ARM)
-    assert session.command(ParamSetMessage(0, Param.HOVER_V, 2.0)).value == 2.0
+    assert not ticks_of_received(board, d.MessageId.ARM)
+    assert session.command(d.ParamSetMessage(0, d.Param.HOVER_V, 2.0)).value == 2.0
     assert session.release_stop(session.stops)
-    session.command(ArmMessage(0))
-    assert board.state == State.ARMED
+    session.command(d.ArmMessage(0))
+    assert board.state == d.State.ARMED
 
 
 def test_a_wish_from_before_the_stop_releases_nothing(session: Session) -> None:
@@ -88,7 +80,7 @@ def test_a_wish_from_before_the_stop_releases_nothing(session: Session) -> None:
     session.stop_now()
     assert not session.release_stop(stops)
     with pytest.raises(LinkError, match="a stop cancelled this command"):
-        session.command(ArmMessage(0))
+        session.command(d.ArmMessage(0))
 
 
 def test_what_follows_a_stop_does_not_take_its_place_before_it_is_answered(
@@ -96,60 +88,60 @@ def test_what_follows_a_stop_does_not_take_its_place_before_it_is_answered(
 ) -> None:
     board.lose_replies = 2
     session.stop_now()
-    session.command(ParamSetMessage(0, Param.HOVER_V, 2.0))
-    stops, sets = ticks_of_received(board, MessageId.STOP), ticks_of_received(board, MessageId.PARAM_SET)
+    session.command(d.ParamSetMessage(0, d.Param.HOVER_V, 2.0))
+    stops, sets = ticks_of_received(board, d.MessageId.STOP), ticks_of_received(board, d.MessageId.PARAM_SET)
     assert len(stops) == 3
     assert min(sets) > max(stops)
 
 
 def test_a_stop_forgets_the_setpoint_that_was_kept_alive(board: FakeBoard, session: Session) -> None:
-    session.command(ArmMessage(0))
-    session.command(ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
-    session.keep_alive(SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
+    session.command(d.ArmMessage(0))
+    session.command(d.ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
+    session.keep_alive(d.SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
     session.wait(1.0)
-    assert ticks_of_received(board, MessageId.SETPOINT)
+    assert ticks_of_received(board, d.MessageId.SETPOINT)
     session.stop_now()
     session.wait(0.1)
-    board.state = State.CLOSED_LOOP
+    board.state = d.State.CLOSED_LOOP
     board.heard.clear()
     session.wait(1.0)
-    assert not ticks_of_received(board, MessageId.SETPOINT)
+    assert not ticks_of_received(board, d.MessageId.SETPOINT)
 
 
 def test_no_setpoint_is_sent_while_none_is_permitted_and_it_goes_on_after(
     board: FakeBoard, session: Session
 ) -> None:
-    session.command(ArmMessage(0))
-    session.command(ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
-    session.keep_alive(SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
+    session.command(d.ArmMessage(0))
+    session.command(d.ControlMessage(request=0, axes=7, front_V=0.0, back_V=0.0))
+    session.keep_alive(d.SetpointMessage(apply_tick=0, elevation_rad=0.1, pitch_rad=0.0, travel_rad=0.0))
     session.wait(0.5)
     permitted = [False]
     session.permit_streams(lambda: permitted[0])
     session.wait(0.1)  # what is on the line arrives
     board.heard.clear()
     for _ in range(5):
-        session.stream(SetpointMessage(apply_tick=0, elevation_rad=0.2, pitch_rad=0.0, travel_rad=0.0))
+        session.stream(d.SetpointMessage(apply_tick=0, elevation_rad=0.2, pitch_rad=0.0, travel_rad=0.0))
         session.wait(0.2)
-    assert not ticks_of_received(board, MessageId.SETPOINT)
+    assert not ticks_of_received(board, d.MessageId.SETPOINT)
     permitted[0] = True
     session.wait(0.5)
-    assert len(ticks_of_received(board, MessageId.SETPOINT)) >= 4
+    assert len(ticks_of_received(board, d.MessageId.SETPOINT)) >= 4
 
 
 def test_many_threads_may_stop_at_once(board: FakeBoard, session: Session) -> None:
-    session.command(ArmMessage(0))
+    session.command(d.ArmMessage(0))
     threads = [threading.Thread(target=session.stop_now) for _ in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
     session.wait(1.0)
-    assert board.state == State.IDLE
+    assert board.state == d.State.IDLE
     assert session.stops == 8
 
 
 def test_a_stop_passes_a_thread_that_keeps_the_lock_of_the_link(board: FakeBoard, session: Session) -> None:
-    session.command(ArmMessage(0))
+    session.command(d.ArmMessage(0))
     line = session.transport
     assert isinstance(line, FakeLine)
     line.written.clear()
@@ -169,11 +161,11 @@ def test_a_stop_passes_a_thread_that_keeps_the_lock_of_the_link(board: FakeBoard
     is_kept.wait()
     stopper.start()
     try:
-        while MessageId.STOP not in [frame.id for frame in FrameParser().feed(b"\0" + bytes(line.written))]:
+        while d.MessageId.STOP not in [frame.id for frame in FrameParser().feed(b"\0" + bytes(line.written))]:
             assert stopper.is_alive() and time.monotonic() < end_s, "no stop is written"
         # Read by the board while the lock is still kept.
         board.feed(bytes(line.written))
-        assert board.state == State.IDLE
+        assert board.state == d.State.IDLE
         assert keeper.is_alive() and session.stops == 0
     finally:
         may_release.set()
@@ -183,7 +175,7 @@ def test_a_stop_passes_a_thread_that_keeps_the_lock_of_the_link(board: FakeBoard
     assert session.stops == 1
     assert not session._engine.commands.preempted
     with pytest.raises(LinkError, match="a stop cancelled this command"):
-        session.command(ArmMessage(0))
+        session.command(d.ArmMessage(0))
 
 
 def test_a_stop_past_the_lock_has_a_number_of_its_own() -> None:
@@ -313,7 +305,7 @@ def test_a_session_over_a_terminal_delivers_true_ticks_and_answers_commands(rig:
     with open_session(rig) as session:
         session.subscribe_ticks(received.append)
         for index in range(10):
-            session.command(ParamSetMessage(0, Param.HOVER_V, index / 8))
+            session.command(d.ParamSetMessage(0, d.Param.HOVER_V, index / 8))
         session.wait(0.5)
         counters = session.counters
     assert len(rig.board.executed) == 10
@@ -369,11 +361,11 @@ def test_closing_while_the_board_is_looked_for_does_not_wait_for_it(rig: PtyBoar
 def test_a_callback_that_commands_while_another_does_gets_an_error_not_a_deadlock(rig: PtyBoard) -> None:
     with open_session(rig) as session:
         rig.board.lose_replies = 3
-        unsubscribe = session.subscribe_ticks(lambda _: (unsubscribe(), session.command(ArmMessage(0)))[0])
+        unsubscribe = session.subscribe_ticks(lambda _: (unsubscribe(), session.command(d.ArmMessage(0)))[0])
         with pytest.raises(
             HeliError, match="a callback cannot send a command while another command waits for its answer"
         ):
-            session.command(ParamSetMessage(0, Param.HOVER_V, 1.0))
+            session.command(d.ParamSetMessage(0, d.Param.HOVER_V, 1.0))
             session.wait(1.0)
 
 
@@ -384,7 +376,7 @@ def test_commands_from_several_threads_take_their_turn(rig: PtyBoard) -> None:
 
         def ask(number: int) -> None:
             for index in range(5):
-                ack = session.command(ParamSetMessage(0, number, index + 0.5))
+                ack = session.command(d.ParamSetMessage(0, number, index + 0.5))
                 assert ack.value == index + 0.5
 
         threads = [threading.Thread(target=ask, args=(number,)) for number in range(9, 13)]

@@ -12,19 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 from heli_host import Heli
-from heli_host.declaration import (
-    AXES,
-    LINK_HASH,
-    AckMessage,
-    ArmMessage,
-    ControlMessage,
-    HelloMessage,
-    MessageId,
-    Param,
-    ParamSetMessage,
-    Result,
-    WelcomeMessage,
-)
+from heli_host import declaration as d
 from heli_host.link.frames import Frame, FrameParser, encode_frame
 from heli_sim.sil.boards import EmulatedDue
 from heli_sim.sil.inprocess import InProcessTransport
@@ -57,11 +45,13 @@ def turn_unseen(world: SilWorld, axis: int, turn_deg: float, *, unseen: bool = T
     state = world.state
     state[axis] += np.radians(turn_deg)
     world.state = state
-    world.native.encoders_out = [unseen and index == axis for index in range(len(AXES))]
+    world.native.encoders_out = [unseen and index == axis for index in range(len(d.AXES))]
 
 
 def hello_frame(seq: int = 0) -> bytes:
-    return encode_frame(MessageId.HELLO, seq, HelloMessage(request=1, link_hash=LINK_HASH, session=77).pack())
+    return encode_frame(
+        d.MessageId.HELLO, seq, d.HelloMessage(request=1, link_hash=d.LINK_HASH, session=77).pack()
+    )
 
 
 class Host:
@@ -96,21 +86,21 @@ class Host:
             data = b""
         raise AssertionError(f"no answer to {kind.__name__}")
 
-    def hello(self) -> WelcomeMessage:
-        welcome = WelcomeMessage.unpack(self.ask(HelloMessage, LINK_HASH, 77))
-        assert welcome.result == Result.OK
+    def hello(self) -> d.WelcomeMessage:
+        welcome = d.WelcomeMessage.unpack(self.ask(d.HelloMessage, d.LINK_HASH, 77))
+        assert welcome.result == d.Result.OK
         return welcome
 
-    def order(self, kind: Any, *fields: float) -> AckMessage:
-        return AckMessage.unpack(self.ask(kind, *fields))
+    def order(self, kind: Any, *fields: float) -> d.AckMessage:
+        return d.AckMessage.unpack(self.ask(kind, *fields))
 
     def drive(self, front_V: float, back_V: float) -> None:
         """Hand the motors open-loop voltages; the rig is held until they have built up, then let go."""
         self.hello()
-        assert self.order(ParamSetMessage, Param.BUMPLESS_S, 0.02).result == Result.OK
+        assert self.order(d.ParamSetMessage, d.Param.BUMPLESS_S, 0.02).result == d.Result.OK
         self.world.native.locked = [True] * 3
-        assert self.order(ArmMessage).result == Result.OK
-        assert self.order(ControlMessage, 0, front_V, back_V).result == Result.OK
+        assert self.order(d.ArmMessage).result == d.Result.OK
+        assert self.order(d.ControlMessage, 0, front_V, back_V).result == d.Result.OK
         self.wait(300)
         self.world.native.locked = [False] * 3
 

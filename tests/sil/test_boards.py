@@ -10,22 +10,12 @@ import numpy as np
 import pytest
 from due_chip import Build, build
 from due_emulator import Image, read_image
+from heli_host import declaration as d
 from heli_host.board.heli import Heli
 from heli_host.board.parameters import read_origin
 from heli_host.board.rig_check import BoardProperty, rig_differences, rig_parameters
 from heli_host.data.log.reader import read_log
 from heli_host.data.log.summary import FlightSummary
-from heli_host.declaration import (
-    PARAMS,
-    PARAMS_HASH,
-    Param,
-    ParamSetMessage,
-    ParamsReadMessage,
-    ParamsSaveMessage,
-    ParamsSource,
-    Result,
-    State,
-)
 from heli_host.errors import LinkLost, RigMismatch
 from heli_host.fly.runner import fly
 from heli_host.link.events import BOARD_RESTARTED
@@ -132,7 +122,7 @@ def test_a_hung_idle_loop_is_reset_and_the_session_gets_the_reason(elf: Path) ->
         # The milliseconds follow the program's tick again: it flies.
         heli.take_off(0.0)
         heli.land()
-        assert heli.state is State.IDLE
+        assert heli.state is d.State.IDLE
         assert heli.session.status().overruns == 0
 
 
@@ -152,13 +142,13 @@ def test_parameters_saved_on_one_board_are_found_by_the_other(elf: Path, tmp_pat
     for first, second in (("due", "native"), ("native", "due"), ("due", "due")):
         flash = str(tmp_path / f"{first}-{second}.bin")
         host = Host(world(**boards[first], flash=flash))
-        assert host.hello().params_source == ParamsSource.DEFAULTS
-        assert host.order(ParamSetMessage, Param.HOVER_V, 1.25).result == Result.OK
-        assert host.order(ParamsSaveMessage).result == Result.OK
+        assert host.hello().params_source == d.ParamsSource.DEFAULTS
+        assert host.order(d.ParamSetMessage, d.Param.HOVER_V, 1.25).result == d.Result.OK
+        assert host.order(d.ParamsSaveMessage).result == d.Result.OK
         host.wait(50)
         again = Host(world(**boards[second], flash=flash))
-        assert again.hello().params_source == ParamsSource.STORED
-        values = again.ask(ParamsReadMessage, Param.HOVER_V)
+        assert again.hello().params_source == d.ParamsSource.STORED
+        values = again.ask(d.ParamsReadMessage, d.Param.HOVER_V)
         assert np.frombuffer(values[3:7], np.float32)[0] == 1.25
 
 
@@ -416,8 +406,8 @@ def flash(tmp_path: Path) -> Path:
     """Flash in which hover_V was saved as 1.75, under another schema that had no parameter `controller`."""
     content = bytearray(saved({"hover_V": 1.75}))
     for start in (0, PAGE_BYTES):
-        content[start + 3] = len(PARAMS) - 1
-        content[start + 4 : start + 8] = struct.pack("<I", PARAMS_HASH ^ 1)
+        content[start + 3] = len(d.PARAMS) - 1
+        content[start + 4 : start + 8] = struct.pack("<I", d.PARAMS_HASH ^ 1)
         crc = zlib.crc32(content[start : start + PAGE_BYTES - 4])
         content[start + PAGE_BYTES - 4 : start + PAGE_BYTES] = struct.pack("<I", crc)
     file = tmp_path / "flash.bin"
@@ -429,10 +419,10 @@ def test_the_host_learns_what_was_kept_and_what_is_new(flash: Path) -> None:
     with heli_host.connect(f"sil://?flash={flash}") as heli:
         assert heli.params["hover_V"] == 1.75
         origin = read_origin(heli.session)
-        assert (origin.source, origin.kept, origin.dropped) == (ParamsSource.MIGRATED, len(PARAMS) - 1, 0)
-        assert origin.new == (PARAMS[-1].name,)
+        assert (origin.source, origin.kept, origin.dropped) == (d.ParamsSource.MIGRATED, len(d.PARAMS) - 1, 0)
+        assert origin.new == (d.PARAMS[-1].name,)
         heli.params.save()
-        assert read_origin(heli.session).source is ParamsSource.STORED
+        assert read_origin(heli.session).source is d.ParamsSource.STORED
     with heli_host.connect(f"sil://?flash={flash}") as heli:
         assert heli.info.params_source == "stored"
 
@@ -441,7 +431,7 @@ def test_the_command_line_warns_at_connect(flash: Path, capsys: pytest.CaptureFi
     with open_board(None, f"sil://?flash={flash}"):
         pass
     output = "".join(capsys.readouterr())
-    assert f"{len(PARAMS) - 1} kept, {PARAMS[-1].name} at the default, 0 dropped" in output
+    assert f"{len(d.PARAMS) - 1} kept, {d.PARAMS[-1].name} at the default, 0 dropped" in output
 
 
 BOARDS = ["native", pytest.param("due", marks=pytest.mark.emulated)]

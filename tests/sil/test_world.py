@@ -12,16 +12,7 @@ from pathlib import Path
 import heli_host
 import numpy as np
 import pytest
-from heli_host.declaration import (
-    Axes,
-    MessageId,
-    Param,
-    ParamSetMessage,
-    ParamsSaveMessage,
-    ParamsSource,
-    Reset,
-    Result,
-)
+from heli_host import declaration as d
 from heli_host.errors import LinkLost, PortError
 from heli_host.link.clock import ClockEstimate, ClockFit
 from heli_host.link.frames import FrameParser
@@ -74,7 +65,7 @@ def test_the_supply_of_the_rig_scales_what_acts() -> None:
     host = Host(SilWorld(SilOptions(), Plant(PaperModel(), rig)))
     host.hello()
     # The board starts with the supply of its rig; this one is set to another.
-    assert host.order(ParamSetMessage, Param.SUPPLY_V, 12.0).result == Result.OK
+    assert host.order(d.ParamSetMessage, d.Param.SUPPLY_V, 12.0).result == d.Result.OK
     host.drive(3.0, 2.0)
     assert host.world.native.volts_V == pytest.approx([1.5, 1.0], abs=0.003)
 
@@ -102,7 +93,7 @@ def test_a_reset_in_flight_stops_the_motors_at_once_and_the_board_is_back_after_
     host.wait(2)
     assert not host.world.board.sim.in_reset
     welcome = Host(host.world).hello()
-    assert welcome.reset == Reset.USER
+    assert welcome.reset == d.Reset.USER
     assert welcome.boot_id != before.boot_id
 
 
@@ -113,7 +104,7 @@ def test_bytes_sent_to_a_board_in_reset_are_not_heard() -> None:
     with pytest.raises(AssertionError, match="no answer"):
         host.hello()
     host.wait(150)
-    assert host.hello().reset == Reset.USER
+    assert host.hello().reset == d.Reset.USER
 
 
 @pytest.mark.medium
@@ -151,7 +142,7 @@ def test_what_the_board_reports_are_the_true_angles_to_one_count() -> None:
     host.wait(100)
     host.frames.clear()
     host.wait(100)
-    batches = [frame.payload for frame in host.frames if frame.id == MessageId.TELEMETRY]
+    batches = [frame.payload for frame in host.frames if frame.id == d.MessageId.TELEMETRY]
     raw = TelemetryDecoder().decode(batches).raw[:, COUNTS]
     assert np.abs(raw - angles_rad * 4096 / (2 * np.pi)).max() <= 1.0
 
@@ -160,13 +151,13 @@ def test_what_the_board_reports_are_the_true_angles_to_one_count() -> None:
 def test_flash_can_be_taken_out_and_put_back() -> None:
     first, second = Host(), Host()
     first.hello()
-    first.order(ParamSetMessage, Param.HOVER_V, 1.25)
-    first.order(ParamsSaveMessage)
+    first.order(d.ParamSetMessage, d.Param.HOVER_V, 1.25)
+    first.order(d.ParamsSaveMessage)
     board, other = first.world.board.sim, second.world.board.sim
     assert isinstance(board, _native.NativeBoard)
     assert isinstance(other, _native.NativeBoard)
     other.flash = board.flash
-    assert second.hello().params_source == ParamsSource.STORED
+    assert second.hello().params_source == d.ParamsSource.STORED
     with pytest.raises(ValueError, match="flash holds"):
         other.flash = b""
 
@@ -413,9 +404,9 @@ def test_a_host_talks_to_it_as_to_hardware(speed: float | None) -> None:
         transport = open_transport(sil.url)
         transport.write(hello_frame())
         parser, kinds = FrameParser(), set()
-        while MessageId.TELEMETRY not in kinds:
+        while d.MessageId.TELEMETRY not in kinds:
             kinds |= {frame.id for frame in parser.feed(transport.read(PATIENCE_s))}
-        assert MessageId.WELCOME in kinds
+        assert d.MessageId.WELCOME in kinds
         assert not transport.lockstep
         transport.close()
         link = Path(sil.url)
@@ -432,7 +423,7 @@ def test_lockstep_waits_for_a_host_that_says_nothing() -> None:
         transport.write(hello_frame())
         parser, ticks = FrameParser(), 0
         while not ticks:
-            ticks += sum(frame.id == MessageId.TELEMETRY for frame in parser.feed(transport.read(0.05)))
+            ticks += sum(frame.id == d.MessageId.TELEMETRY for frame in parser.feed(transport.read(0.05)))
         transport.close()
     # Without a host, simulated time is real time, and one frame allows 40 ms more. Unbounded, the simulation
     # makes hundreds of thousands of ticks a second.
@@ -497,7 +488,7 @@ def test_a_clock_that_seems_to_race_does_not_flood_the_board(monkeypatch: pytest
     sent: Counter[int] = Counter()
     with heli_host.connect("sil://?seed=3&speed=max") as heli:
         heli.arm()
-        heli.control(Axes.ELEVATION | Axes.PITCH | Axes.TRAVEL)
+        heli.control(d.Axes.ELEVATION | d.Axes.PITCH | d.Axes.TRAVEL)
         to_board, parser = world_of(heli).to_board, FrameParser()
         carry = to_board.pass_through
 
@@ -508,5 +499,5 @@ def test_a_clock_that_seems_to_race_does_not_flood_the_board(monkeypatch: pytest
         monkeypatch.setattr(to_board, "pass_through", count)
         monkeypatch.setattr(ClockFit, "estimate", lambda fit: racing)
         heli.session.wait_for(lambda: False, 1.0, step_s=0.002)
-    assert 8 <= sent[MessageId.SETPOINT] <= 25
-    assert sent[MessageId.PING] <= 25
+    assert 8 <= sent[d.MessageId.SETPOINT] <= 25
+    assert sent[d.MessageId.PING] <= 25
