@@ -319,6 +319,13 @@ def test_a_column_that_rises_and_trembles_is_no_clock_without_zeros(decimal: str
     assert table.columns["x"].values == pytest.approx(rising) and not table.changes
 
 
+def test_angles_beside_a_damaged_cell_are_no_times_without_zeros(tmp_path: Path) -> None:
+    cells = ["ERR", *np.where(np.arange(1, T_S.size) % 3, "0.5", "0.20")]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["t,pitch", *(f"{t:.3f},{x}" for t, x in zip(T_S, cells, strict=True))]))
+    assert not read_table(path).changes
+
+
 def test_numbers_in_two_notations_are_no_column_of_numbers(tmp_path: Path) -> None:
     # Four hexadecimal digits may look like a number.
     words = [f"{round(100.0 * x) % 65536:04X}" for x in X]

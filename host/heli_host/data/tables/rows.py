@@ -782,4 +782,4 @@ def is_active(part: Floats, whole: Floats) -> bool:
 def runs_of(mask: Booleans) -> list[tuple[int, int]]:
     """Return the first row of each run of true rows, and the row after its last. Shapes: `mask` (n,)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], mask.astype(int), [0]))))
-    return [(int(start), int(stop)) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -213,16 +213,17 @@ def read_text(path: Path) -> Table:
     unread: dict[str, str] = {}
     for index, name in enumerate(names):
         cell = ""
-        values, unit = numbers_of(frame[index], dialect)
         texts = frame[index]
+        values, unit = numbers_of(texts, dialect)
+        is_padded = False
         if len(frame) == len(rows) and _falls_within_seconds(values):
             cells = [_split_cells(row, dialect)[index : index + 1] for row in rows]
             padded = pandas.Series(cells).str[0].str.replace(dialect.decimal, ".")
             times = pandas.to_numeric(with_padded_fractions(padded), errors="coerce").to_numpy(np.float64)
             if (np.diff(times) >= 0.0).all():
-                texts, values = padded, times
+                texts, values, is_padded = padded, times, True
         clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
-        if texts is not frame[index] or clock_s is not None:
+        if is_padded or clock_s is not None:
             changes += _padded_change(name, texts.dropna().astype(str).str.strip())
         if clock_s is not None:
             columns[name] = Column(clock_s, "s")
