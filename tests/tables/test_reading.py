@@ -319,7 +319,7 @@ def test_a_column_that_rises_and_trembles_is_no_clock_without_zeros(decimal: str
     assert table.columns["x"].values == pytest.approx(rising) and not table.changes
 
 
-def test_angles_beside_a_damaged_cell_are_no_times_without_zeros(tmp_path: Path) -> None:
+def test_angles_next_to_a_damaged_cell_are_no_times_without_zeros(tmp_path: Path) -> None:
     cells = ["ERR", *np.where(np.arange(1, T_S.size) % 3, "0.5", "0.20")]
     path = tmp_path / "a.csv"
     path.write_text("\n".join(["t,pitch", *(f"{t:.3f},{x}" for t, x in zip(T_S, cells, strict=True))]))
