@@ -131,12 +131,22 @@ def test_the_command_writes_table_json_and_figure(tmp_path: Path, capsys: pytest
     flight, rig = tmp_path / "short.csv", tmp_path / "lag.toml"
     write_csv(lagging_flight(), flight)
     lag = effect_numbers(catalogue()["rotor_lag"], {"rotor_lag_s": 0.1}, {"rotor_lag_s": 0.0}, "hidden")
-    write_rig(Rig("lag", "lagging rotors", RIG.numbers, {"rotor_lag": lag}, "multibody"), rig)
+    write_rig(
+        Rig(
+            "lag",
+            "makki2024 as identified from a.csv, short.csv",
+            RIG.numbers,
+            {"rotor_lag": lag},
+            "multibody",
+        ),
+        rig,
+    )
     results, figure = tmp_path / "forecast.json", tmp_path / "forecast.svg"
     arguments = ["predict", str(flight), "--rig", str(rig), "--json", str(results), "--figure", str(figure)]
     assert run(arguments) == 0
     printed = capsys.readouterr().out
     assert "lag.toml without its effects" in printed and "nothing changes" in printed
+    assert "lag.toml was identified from short.csv: forecast another flight" in printed
     numbers = json.loads(results.read_text())
     assert [row["horizon_s"] for row in numbers["horizons"]] == list(HORIZONS_s)
     pitch = numbers["horizons"][1]["axis"]["pitch"]

@@ -343,7 +343,13 @@ def test_a_twin_file_that_was_learned_from_a_flight_can_be_used(
     printed_of_other_rig = capsys.readouterr().out
     assert "is a flight of rig makki2024, but the twin is of rig quanser-course" in printed_of_other_rig
     assert "this twin has learned no flight of this machine" in printed_of_other_rig
+    assert "learned from" not in printed_of_other_rig
     assert learned.calibration.source == "monday.mcap"
+    for words in (["--rig", str(twin_file)], ["--nominal", str(log)]):
+        assert run(["twin", str(log), "--to", "9", *words]) == 0
+        printed_of_learned = capsys.readouterr().out
+        assert "the twin has learned from monday.mcap, so it cannot detect" in printed_of_learned
+    assert "disturbances from monday.mcap, threshold from a quiet room" in printed_of_learned
     # A minute of flight supports one false alarm in two hours.
     assert learned.calibration.tail.healthy_s == pytest.approx(60.0)
     assert "one false alarm in 2 h in the air at best" in printed

@@ -598,3 +598,9 @@ def first_rig_name(rig: Rig) -> str:
     """
     first_name, marker, _ = rig.description.partition(_IDENTIFIED)
     return first_name if marker else rig.name
+
+
+def is_fitted_flight(rig: Rig, label: str) -> bool:
+    """Return whether `rig` was identified from a flight with the file name `label`."""
+    _, _, labels = rig.description.partition(_IDENTIFIED)
+    return label in labels.split(", ")

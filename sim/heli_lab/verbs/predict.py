@@ -74,6 +74,7 @@ def predict(
     from heli_sim.model import model_named
     from heli_sim.rig import load_rig
 
+    from heli_lab.fit.identification import is_fitted_flight
     from heli_lab.watch.disturbances import acting_flights, learn_disturbances
     from heli_lab.watch.forecast import draw_forecasts, errors_json, forecasts_of, horizon_errors
 
@@ -110,6 +111,8 @@ def predict(
         rows = horizon_errors(forecasts, baseline_forecasts)
     baseline_name = baseline or (f"{rig} without its effects" if has_baseline else None)
     say(*slow_log_notes, *_table(forecasts, rows, rig, baseline_name))
+    if is_fitted_flight(loaded_rig, label):
+        say(f"{rig} was identified from {label}: forecast another flight to see how well it predicts")
     numbers = errors_json(forecasts, rows, rig, baseline_name)
     write_result(json, {**numbers, "slow_log": slow_log_notes[0] if slow_log_notes else None})
     if figure is not None:

@@ -114,8 +114,9 @@ def twin(
     say(*dict.fromkeys(filter(None, (*slow_log_notes, *(report.slow_log_note for report in reports)))))
     if reports:
         say(*_fit_lines(twin_rig, reports, false_alarm_interval_h))
+    nominal_labels = [path.name for path in nominal_paths]
     for report in reports:
-        say(*_report_lines(report, twin_rig))
+        say(*_report_lines(report, twin_rig, nominal_labels))
     if nominal_paths and has_few_disturbances(twin_rig.calibration.disturbances):
         say(
             "the nominal flights have almost no disturbances, so every later gust raises an alarm; "
@@ -123,7 +124,10 @@ def twin(
         )
     threshold_nats = twin_rig.calibration.threshold_nats(false_alarm_interval_h)
     false_alarm_text = _false_alarm_text(twin_rig.calibration.tail, false_alarm_interval_h)
-    say(f"alarm threshold: {threshold_nats:.1f} nats, {false_alarm_text}; {_calibration_source(twin_rig)}")
+    say(
+        f"alarm threshold: {threshold_nats:.1f} nats, {false_alarm_text}; "
+        f"{_calibration_source(twin_rig, [] if learn is not None else nominal_labels)}"
+    )
     write_result(json, _json_object(twin_rig, reports, false_alarm_interval_h))
     if figure is not None and reports:
         draw_evidence(reports, figure)
@@ -182,9 +186,11 @@ def _fit_lines(twin_rig: TwinRig, reports: Sequence[TwinReport], false_alarm_int
     ]
 
 
-def _report_lines(report: TwinReport, twin_rig: TwinRig) -> list[str]:
-    """Describe the result of a flight, with a warning if the flight is of another rig than the twin."""
-    from heli_lab.fit.identification import first_rig_name
+def _report_lines(report: TwinReport, twin_rig: TwinRig, nominal_labels: Sequence[str]) -> list[str]:
+    """Describe the result of a flight, with a warning if the flight is of another rig than the twin, or one
+    from which the twin has learned.
+    """
+    from heli_lab.fit.identification import first_rig_name, is_fitted_flight
 
     rig = twin_rig.rig
     lines = [f"{report.label}: {sentence}" for sentence in report.sentences()]
@@ -193,6 +199,9 @@ def _report_lines(report: TwinReport, twin_rig: TwinRig) -> list[str]:
             f"{report.label} is a flight of rig {report.flown_rig}, "
             f"but the twin is of rig {rig.name}; give the right one with --rig"
         )
+    learned_labels = [*nominal_labels, *twin_rig.calibration.source.split(", ")]
+    if report.label in learned_labels or is_fitted_flight(rig, report.label):
+        lines.append(f"the twin has learned from {report.label}, so it cannot detect what differs in it")
     return lines
 
 
@@ -208,9 +217,11 @@ def _false_alarm_text(tail: Tail, false_alarm_interval_h: float) -> str:
     )
 
 
-def _calibration_source(twin_rig: TwinRig) -> str:
-    """State the origin of disturbances and threshold."""
+def _calibration_source(twin_rig: TwinRig, nominal_labels: Sequence[str]) -> str:
+    """State the origin of disturbances and threshold. Nominal flights without --learn give no threshold."""
     source = twin_rig.calibration.source
+    if nominal_labels:
+        return f"disturbances from {', '.join(nominal_labels)}, threshold from {source or 'the default'}"
     return f"disturbances and threshold from {source}" if source else "default disturbances"
 
 
