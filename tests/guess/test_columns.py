@@ -110,6 +110,16 @@ def test_whole_numbers_of_an_encoder_that_is_not_the_rigs_are_doubted(
     assert subject in doubts or not (subject or doubts)
 
 
+def test_times_of_a_structure_that_are_minutes_are_doubted() -> None:
+    table = flight_table()
+    minutes: Floats = table.columns["t"].values[::4] / 60.0
+    columns = {
+        name: Column(column.values[::4], "", minutes) for name, column in table.columns.items() if name != "t"
+    }
+    doubts = {each.alternative for each in proposed(Table("x.mat", columns)).ambiguities}
+    assert "another unit, which the file does not state" in doubts
+
+
 def test_the_name_of_a_matrix_with_a_word_of_time_hides_no_column() -> None:
     table = flight_table()
     matrix = Table("x.mat", {f"date_time[{i}]": column for i, column in enumerate(table.columns.values(), 1)})

@@ -95,6 +95,10 @@ def cut_to_pieces(log: Log) -> None:
     log["front_V"][rows(log, 50.0, 53.0)] = 3.0
 
 
+def stick(log: Log) -> None:
+    log["travel_rad"][rows(log, 60.0, 100.0)] = log["travel_rad"][rows(log, 60.0, 100.0)][0]
+
+
 def halve_pitch(log: Log) -> None:
     log["pitch_rad"] *= 0.5
 
@@ -115,6 +119,7 @@ def halve_pitch(log: Log) -> None:
         (turn_over, "elevation's unit"),
         (cut_to_pieces, "the front voltage in parts of the file"),
         (halve_pitch, "the scale of pitch's encoder"),
+        (stick, "the rows that stand still"),
     ],
 )
 def test_a_change_within_a_file_is_doubted(damage: Callable[[Log], None], subject: str) -> None:

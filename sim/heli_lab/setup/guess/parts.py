@@ -9,8 +9,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import Flight, check_flight
-from heli_host.data.tables import Column, Profile, Table, convert
-from heli_host.data.tables.convert import times_of
+from heli_host.data.tables import Column, Conversion, Profile, Table, convert
+from heli_host.data.tables.convert import STANDING, times_of
 from heli_host.data.tables.rows import runs_of
 from heli_host.data.tables.table import COUNT
 from heli_host.errors import FlightDataError
@@ -23,6 +23,8 @@ from heli_lab.setup.guess.signals import EDGE_S, column_signals, delay, quantisa
 from heli_lab.setup.guess.signs import confirmed_by_simulation, sign_suspects
 
 _COLUMNS: Final = ("elevation_rad", "pitch_rad", "travel_rad", "front_V", "back_V")
+_STANDING_SHARE: Final = 0.2
+"""Share of the rows that stand still from which on they are in doubt: links seldom fail for so long."""
 _PART_S: Final = 12.0
 """Length of the parts in which signs and units are compared [s]: in most of them, each axis moves enough."""
 _SIGN_NATS: Final = 10.0
@@ -93,10 +95,12 @@ def part_ambiguities(
     flights: list[Flight] = []
     for table in tables:
         try:
-            flights += convert(table, profile).flights
+            conversion = convert(table, profile)
         except FlightDataError:
             # The conversion itself states the reason.
             continue
+        flights += conversion.flights
+        ambiguities += _standing_rows(conversion)
         rows = table.aligned([angle.column for angle in profile.angles.values()])
         ambiguities += _changed_rate(rows, profile) + _decodings(rows, profile, rig, is_given=is_given)
     ambiguities += _changed_motion(flights, reference, rig)
@@ -104,6 +108,24 @@ def part_ambiguities(
         ambiguities += _impossible_values(flight)
         ambiguities += _jumps(flight) + _flat_tops(flight) + _held_voltages(flight, reference)
     return list({ambiguity.subject: ambiguity for ambiguity in reversed(ambiguities)}.values())[::-1]
+
+
+def _standing_rows(conversion: Conversion) -> list[Ambiguity]:
+    """Report a large part of a file that was left out because angles stand still: an arm with much friction
+    does so, too.
+    """
+    standing = sum(change.rows for change in conversion.changes if change.reason.startswith(STANDING))
+    if standing <= _STANDING_SHARE * conversion.file_rows:
+        return []
+    return [
+        Ambiguity(
+            "the rows that stand still",
+            f"left out, {100.0 * standing / conversion.file_rows:.0f} % of the file",
+            "part of the flight",
+            "a link that failed repeats its angles, but an arm with much friction does so, too; look at the "
+            "figure, and import the part that is a flight",
+        )
+    ]
 
 
 def _impossible_values(flight: Flight) -> list[Ambiguity]:

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.tables import Angle, Profile, Table, Voltage, flights_of, profile_text
-from heli_host.data.tables.table import COUNT, SHARES, TIME_UNITS, split_unit
+from heli_host.data.tables.table import COUNT, SHARED_TIME, SHARES, TIME_UNITS, split_unit
 from heli_host.errors import FlightDataError, HeliError
 from heli_sim.rig import Rig, load_rig, rig_names
 
@@ -43,7 +43,7 @@ from heli_lab.setup.guess.motion import (
 from heli_lab.setup.guess.names import AXES, PAIR, SUMS, meaning_of
 from heli_lab.setup.guess.parts import part_ambiguities
 from heli_lab.setup.guess.result import DECISIVE_NATS, NOTHING_KNOWN, Ambiguity, Guess, KnownEntries
-from heli_lab.setup.guess.signals import NO_RATE, Clock, filtered_signal
+from heli_lab.setup.guess.signals import MIN_FLIGHT_S, NO_RATE, Clock, filtered_signal
 from heli_lab.setup.guess.signs import (
     SignChanges,
     fewest_sign_changes,
@@ -266,7 +266,10 @@ def propose(
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
     ambiguities += doubtful_columns + unit_ambiguities + unknown_unit_ambiguities(assignment, scale)
-    if clock.sure and not _states_unit(first_table, clock) and _fits_nothing(regressions):
+    # Times of a structure count as seconds, which a file of a second contradicts.
+    is_short = clock.column == SHARED_TIME and float(np.ptp(files[0].signals.t_s)) < MIN_FLIGHT_S
+    states_unit = _states_unit(first_table, clock) and not is_short
+    if clock.sure and not states_unit and _fits_nothing(regressions):
         clock = replace(clock, sure=False, alternative="another unit, which the file does not state")
         ambiguities.append(
             Ambiguity("the time", f"{clock.column} in {clock.unit}", clock.alternative, NO_RATE)

@@ -51,7 +51,7 @@ _MAX_UNEVENNESS: Final = 0.5
 """Largest deviation of an even step from the median step, as a share of it."""
 _STEPS_s: Final = (0.0002, 0.15)
 """Smallest and largest step of a log [s]; logs of such flights have at least 7 Hz."""
-_MIN_FLIGHT_S: Final = 3.0
+MIN_FLIGHT_S: Final = 3.0
 """Duration of a log below which a larger unit of its times is more plausible [s]. Arms move for seconds."""
 _JUMP_STEPS: Final = 15.0
 """A step of an angle this many times above its typical largest one is a jump. Angles have up to 3; voltages
@@ -223,7 +223,7 @@ def _interpret_as_times(name: str, header_unit: str, step: float, first: float, 
     shortest_s, longest_s = _STEPS_s
     fitting_units = [unit for unit, s in TIME_UNITS.items() if shortest_s <= step * s <= longest_s]
     # As 0.0003: a step in minutes at 50 Hz, or in seconds at 3 kHz, with which the log is a second long.
-    short_units = [unit for unit in fitting_units if step * rows * TIME_UNITS[unit] < _MIN_FLIGHT_S]
+    short_units = [unit for unit in fitting_units if step * rows * TIME_UNITS[unit] < MIN_FLIGHT_S]
     long_units = [unit for unit in fitting_units if unit not in short_units]
     # The most plausible unit; empty if none fits.
     unit = next(iter(long_units + short_units), "")
