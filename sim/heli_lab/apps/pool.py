@@ -249,7 +249,9 @@ class Share:
 
 
 def share(present: int, detectable: int, undecided: int = 0) -> Share:
-    """Estimate the share of rigs with a cause: `present` of `detectable` rigs have it."""
+    """Estimate the share of rigs with a cause: `present` of `detectable` rigs have it, and `undecided` others
+    are not counted.
+    """
     from scipy.stats import binomtest
 
     if not detectable:
