@@ -205,8 +205,8 @@ def _reference_size(reference: Mapping[str, Any], names: tuple[str, ...], t_s: F
 
 
 def _size_and_error(cause: Mapping[str, Any], t_s: Floats) -> tuple[float, float]:
-    """Return the size and the standard error of a cause, in the unit of `KnownEffect.size`."""
-    # The size of a fade is the share that is lost in the middle of the flight, because its two parameters,
+    """Return the size and the standard error of a cause: [s], [rad] or a share."""
+    # The size of a fade is the share that is lost at the mean time of the flight, because its two parameters,
     # rate and bend, compensate for each other.
     name, parameters = cause["effect"], cause["parameters"]
 
@@ -234,20 +234,21 @@ def _true_size(
     effect: KnownEffect, name: str, result: Mapping[str, Any], volts_V: Floats, t_s: Floats, rig: Rig
 ) -> float:
     """Return the true size of the hidden effect in the unit of the cause `name`."""
-    # An effect was hidden as a share of the voltage; most causes describe it as a share of the thrust.
+    # Effects of the voltage were hidden as shares of it; most causes describe them as shares of the thrust.
     curve = steady_thrust(result, rig)
     if effect.id == "thrust_asymmetry":
+        # The constant torques of a flight absorb the mean of the thrust: only its variation shows the factor.
         front = _thrust_variation_factor(curve, volts_V[:, 0], 1.0 + effect.size)
         back = _thrust_variation_factor(curve, volts_V[:, 1], 1.0 - effect.size)
         return (front - back) / (front + back)
     if effect.id == "thrust_step.front":
         return 1.0 - _thrust_factor(curve, volts_V[:, 0], 1.0 - effect.size)
     if effect.id == "thrust_fade":
-        lost_share = effect.size * float(np.mean(t_s))
+        lost_share = effect.size * float(np.mean(t_s))  # as in `_size_and_error`
         if name == "supply_fade":
             return lost_share
         return 1.0 - _thrust_factor(curve, volts_V.mean(axis=1), 1.0 - lost_share)
-    return effect.size
+    return effect.size  # a delay [s], play or eccentricity [rad]: the cause has the same unit
 
 
 def _thrust_factor(curve: Curve, volts_V: Floats, volts_factor: float) -> float:

@@ -200,7 +200,7 @@ def fly_case(case: PublishedCase) -> tuple[PublishedCase, tuple[Flight, ...]]:
                 last = [case.fly(i, case.durations_s[i])[0] for i in range(1, len(case.durations_s))]
                 return case, (case.fly(0, case.durations_s[0])[0], *last)
             except FlightAborted:
-                continue
+                continue  # `attempt` draws another route
         case = redrawn(case)
     raise BenchmarkError(
         f"{case.name} left the safe range of angles in each of {MAX_ATTEMPTS * (1 + MAX_REDRAWS)} attempts",

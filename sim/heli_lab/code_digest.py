@@ -36,7 +36,7 @@ def _is_installed(package: str) -> bool:
     """Whether a package can be imported without the folder of a campaign file."""
     try:
         return importlib.util.find_spec(package) is not None
-    except (ModuleNotFoundError, ValueError):
+    except (ModuleNotFoundError, ValueError):  # the parent package is missing, or the module has no spec
         return False
 
 

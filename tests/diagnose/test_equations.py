@@ -385,7 +385,7 @@ def test_right_model_has_no_failing_region_in_95_percent_of_cases() -> None:
         white = rng.standard_normal(screening.measurements)
         # A refit of the free parameters projects them out of the innovations.
         step = screening._solve(parameter_regressors.T @ white)
-        screening._error = [white - parameter_regressors @ step]
+        screening._step = screening._step._replace(error=[white - parameter_regressors @ step])
         statistics = screening.projected(regressors, [1] * cells.shape[1])
         z = np.array([score[0] / np.sqrt(information[0, 0]) for information, score in statistics])
         p_values = 2.0 * ndtr(-np.abs(z))

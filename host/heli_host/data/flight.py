@@ -51,6 +51,7 @@ the length would cost 2.8 times the noise.
 
 _MIN_PARABOLA_ROWS = 5
 _GAP_RATIO = 1.75
+"""Median steps from which on a step is a gap: less than the 2 of a lost row, more than a late row has."""
 _MAX_POINTS = 800
 """Points of a line in the small figure, which is 640 dots wide."""
 _COLOURS: Final = {"elevation": "#0b5fa5", "pitch": "#b3420f", "travel": "#157a4a"}

@@ -164,16 +164,9 @@ def _cases_by_kind() -> Iterator[Case]:
             )
         for name, off_list in OFF_LIST.items():
             yield _unlisted_case(name, off_list, size, next(seeds))
+        # Each combination occurs twice at the same sizes: another seed draws another rig and other flights.
         for names in _SEVERAL:
-            yield Case(
-                "+".join(names) + f"-{size}",
-                effects=tuple(
-                    (name, float(np.mean([LISTED[name].small, LISTED[name].large]))) for name in names
-                ),
-                unlisted=(),
-                seed=next(seeds),
-                makers=tuple(LISTED[name].maker for name in names),
-            )
+            yield _combined_case(names, size, next(seeds))
     # Kinds that were added later: effects in another form, then further unlisted and listed effects.
     seeds = itertools.count(1501)
     for name, form in OTHER_FORMS.items():
@@ -193,6 +186,17 @@ def _listed_case(name: str, listed: ListedEffect, size: int, seed: int) -> Case:
     value = (listed.large if size == _LARGE else listed.small) * _size_factor(seed)
     return Case(
         f"{name}-{_SIZE_WORD[size]}", effects=((name, value),), unlisted=(), seed=seed, makers=(listed.maker,)
+    )
+
+
+def _combined_case(names: Sequence[str], number: int, seed: int) -> Case:
+    """Make a case with several listed effects of medium size; `number` only completes its name."""
+    return Case(
+        "+".join(names) + f"-{number}",
+        effects=tuple((name, float(np.mean([LISTED[name].small, LISTED[name].large]))) for name in names),
+        unlisted=(),
+        seed=seed,
+        makers=tuple(LISTED[name].maker for name in names),
     )
 
 

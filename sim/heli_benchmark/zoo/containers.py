@@ -89,6 +89,7 @@ def _write_text(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
 
 
 def _is_latin(lines: list[str]) -> bool:
+    """Whether Latin-1 has all characters of the header, the only lines with words."""
     try:
         "".join(lines[:4]).encode("latin-1")
     except UnicodeEncodeError:

@@ -264,7 +264,7 @@ def _takes_three_arguments(function: Callable[..., Any]) -> bool:
     """Whether a `function` can be called with three positional arguments."""
     try:
         inspect.signature(function).bind(None, None, None)
-    except TypeError:
+    except TypeError:  # raised by `bind` if the number does not fit
         return False
     return True
 

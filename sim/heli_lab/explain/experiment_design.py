@@ -68,7 +68,7 @@ def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
             return None
         return prepare(_thinned(flight), rig, "simulated")
     except (HeliError, SimError):
-        return None
+        return None  # the rig cannot fly this plan
 
 
 def expected_log_likelihood_ratio(
@@ -83,7 +83,7 @@ def expected_log_likelihood_ratio(
         with_truth = new.refit(truth.candidates, truth.params)
         with_alternative = new.refit(alternative.candidates, alternative.params)
     except SimError:
-        return None
+        return None  # a refit diverged, so nothing can be compared
     return with_truth.log_likelihood - with_alternative.log_likelihood
 
 

@@ -366,30 +366,30 @@ class ListedEffects:
     def equivalent_effect(self, equation: Equation, warm_start: Hypothesis, penalty: float) -> str | None:
         """Find an effect of the catalogue that explains all flights as well as an equation does."""
         # The search may have missed this effect, because disturbances explained its torque. An effect does
-        # not count if the equation encompasses it, see `encompasses`.
-        # Effects are refitted in the order of their scores, until no further effect can be good enough.
-        # Like a spline, an equation must exceed an effect by a share of its own margin over the base.
-        equation_margin = warm_start.log_likelihood - penalty + self.held_out(warm_start)
-        lead = SPLINE_MARGIN * (equation_margin - self.base.log_likelihood)
-        required_margin = equation_margin - max(MIN_MARGIN, lead)
-        # The search ends after enough refits have reached about the gain that their score predicted.
+        # not count if the equation encompasses it, see `encompasses`. Log-likelihoods are of all flights.
+        equation_nats = warm_start.log_likelihood - penalty + self.held_out(warm_start)
+        # Like a spline, an equation must exceed an effect by a share of its own lead over the base.
+        lead = SPLINE_MARGIN * (equation_nats - self.base.log_likelihood)
+        required_nats = equation_nats - max(MIN_MARGIN, lead)
         confirmed_scores = 0
         for effect, start, score_nats in self._possible_effects(equation, warm_start):
             complexity_penalty = self.complexity_penalty(effect)
+            # Scores fall: no later effect can be good enough, or enough refits have confirmed their score.
+            # Effects without a score come first and are always refitted.
             if score_nats is not None and (
                 confirmed_scores >= SHORTLIST
                 or EXPECTED_REFIT_GAIN * score_nats <= complexity_penalty + MIN_MARGIN
             ):
                 break
             rival = self.refit(effect, start, warm_start)
-            margin = self.margin(rival, effect) + self.held_out(rival)
+            penalised_nats = self.penalised_nats(rival, effect) + self.held_out(rival)
             if (
-                margin > required_margin
+                penalised_nats > required_nats
                 and self.comparison.in_flight(rival)
                 and not self.encompasses(warm_start, rival, effect, penalty)
             ):
                 return effect.id
-            gain = margin + complexity_penalty - self.base.log_likelihood
+            gain = penalised_nats + complexity_penalty - self.base.log_likelihood
             confirmed_scores += score_nats is not None and gain >= SHORTLIST_SHARE * score_nats
         return None
 
@@ -420,7 +420,7 @@ class ListedEffects:
         self.say(f"trying {effect.id} in its place")
         return self.comparison.refit([*self.base.candidates, effect], start, warm_start)
 
-    def margin(self, model: Hypothesis, effect: Candidate) -> float:
+    def penalised_nats(self, model: Hypothesis, effect: Candidate) -> float:
         """Return the log-likelihood, in nats, of a `model` with an `effect`, less the effect's penalty."""
         # The priors of the effect's parameters do not count, because an equation's coefficients may have any
         # size, too.

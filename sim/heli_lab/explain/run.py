@@ -270,9 +270,11 @@ def _prepare_flights(
     stop_s: float | None,
 ) -> tuple[list[Record], list[NotExcited]]:
     """Prepare flights for fitting; return their records, and the reasons why flights were skipped."""
+    # `labels` goes on from the fitted to the held-out flights: `zip` asks for a flight first, so that the end
+    # of the flights uses up no label.
     records, skipped = [], []
     for flight, label in zip(flights, labels, strict=False):
-        if isinstance(flight, Record):
+        if isinstance(flight, Record):  # prepared by the caller, such as a part of a flight
             records.append(flight)
             continue
         try:

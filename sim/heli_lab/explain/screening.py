@@ -381,11 +381,23 @@ class NormalDistribution(NamedTuple):
     precision: Floats
 
 
+class _GaussNewtonStep(NamedTuple):
+    """The free parameters and the innovations after one Gauss-Newton step from an estimate."""
+
+    stepped: Floats  # (f,): The free parameters
+    error: list[Floats]  # Whitened innovations of each flight, (m,)
+    held_back: Floats
+    """(f,): Score of the free parameters that the fit on other flights holds back; 0 without that fit."""
+
+
 class Screening:
     """Score tests of candidates about one estimated model."""
 
     # A score test predicts the gain of the log-likelihood if a candidate were added to the model. The
     # prediction is of first order. All free parameters count as refitted, and the disturbances as unchanged.
+    # `prior` is the fit on other flights; None: the prior of the rig. The pull of that fit on the score is
+    # subtracted, because an error that its uncertainty explains is no missing effect. A conflict with the
+    # prior of the rig does count as evidence.
 
     def __init__(self, estimate: Estimate, prior: NormalDistribution | None = None) -> None:
         self.estimate = estimate
@@ -407,18 +419,19 @@ class Screening:
         mean, precision = prior or of_rig
         # Arrowhead matrix of the normal equations of the free parameters, and the columns of each flight.
         self._normal_matrix, self._per_flight = innovations.information() + precision, innovations.per_flight
-        step = self._solve(innovations.score() - precision @ (estimate.theta - mean))
-        # Estimates of the free parameters after a Gauss-Newton step, (f,).
-        self._stepped = estimate.theta + step
-        # Whitened innovations of each flight after that step, (m,).
-        self._error = innovations.after(step)
-        # Score of the free parameters that a prior holds back without being evidence for candidates, (f,).
-        self._held_back = np.zeros_like(step) if prior is None else precision @ (estimate.theta + step - mean)
+        change = self._solve(innovations.score() - precision @ (estimate.theta - mean))
+        self._step = _GaussNewtonStep(
+            stepped=estimate.theta + change,
+            error=innovations.after(change),
+            held_back=np.zeros_like(change)
+            if prior is None
+            else precision @ (estimate.theta + change - mean),
+        )
 
     def estimates(self) -> dict[str, ValueAndStd]:
         """Return the most likely value of each free parameter with its standard error, given the prior."""
         std = np.sqrt(np.diag(invert_arrowhead(self._normal_matrix, self._per_flight)))
-        estimates = map(ValueAndStd, self._stepped.tolist(), std.tolist())
+        estimates = map(ValueAndStd, self._step.stepped.tolist(), std.tolist())
         return dict(zip(self.estimate.parameter_vector.names, estimates, strict=True))
 
     def release(self) -> None:
@@ -486,7 +499,7 @@ class Screening:
         score = np.zeros(regressor_count)  # X'e
         cross_information = np.zeros((parameter_count, regressor_count))  # Z'X
         for flight_regressors, innovations, parameter_columns, error in zip(
-            regressors, self._innovations.flights, self._innovations.columns, self._error, strict=True
+            regressors, self._innovations.flights, self._innovations.columns, self._step.error, strict=True
         ):
             derivatives = innovations[:, 1:]
             cross_information[parameter_columns] += derivatives.T @ flight_regressors
@@ -495,7 +508,7 @@ class Screening:
                 candidate_regressors = flight_regressors[:, columns]
                 information_by_candidate[number] += candidate_regressors.T @ candidate_regressors
         projection = self._solve(cross_information)  # (Z'Z)^-1 Z'X
-        score -= projection.T @ self._held_back
+        score -= projection.T @ self._step.held_back
         statistics = []
         for information, columns in zip(information_by_candidate, candidate_columns, strict=True):
             projected = information - cross_information[:, columns].T @ projection[:, columns]

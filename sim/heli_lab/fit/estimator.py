@@ -339,7 +339,7 @@ def estimate_disturbances(
     errors : sequence of sequence of ModelErrors
         Errors of the model, from `InnovationsModel.perturbed_residual`.
     start, tolerance_nats, start_values
-        As in `disturbance_search.maximise`.
+        As in `maximise`.
     """
     return maximise(
         lambda disturbance_models: filtered.log_likelihoods(disturbance_models, errors),

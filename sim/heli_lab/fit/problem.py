@@ -468,9 +468,10 @@ def _ends_of_previous_windows(problem: Problem, index: int, theta: Floats, state
 
 
 def _starts_of_effects(problem: Problem, index: int, theta: Floats) -> list[Floats]:
-    """Return the first guess of the initial states, shape (w, states), shifted by the offsets of each
-    alternative that an effect defines.
+    """Return the first guess of the initial states of flight `index`, shape (w, states), shifted by the
+    offsets of each alternative that an effect defines.
     """
+    # The angles do not show every state, such as the end of a play at which an axis is: each end is tried.
     model = problem.model
     values = dict(zip(model.parameter_names, problem.parameters(theta, index), strict=True))
     columns = {state.name: column for column, state in enumerate(model.states)}

@@ -529,8 +529,8 @@ def solve(
 
     The search for the minimum alternates with estimates of the weights, first on the coarse grid, then on
     every sample. The squares of each axis are divided by the long-run variance of its own residuals
-    (`residual_noise.long_run_variance`). Standard errors are then not too small if the model is wrong, or if
-    the same count stays for many samples.
+    (`heli_lab.fit.uncertainty.long_run_variance`). Standard errors are then not too small if the model is
+    wrong, or if the same count stays for many samples.
 
     Parameters
     ----------

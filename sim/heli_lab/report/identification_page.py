@@ -210,6 +210,7 @@ def _sentences_on_unexcited_axes(
     if not unexcited:
         return []
     sentences = []
+    # If no axis is excited, the first sentence of `verdict` says so.
     if len(unexcited) < len(AXES):
         at_rest = [axis for axis, range_deg in unexcited.items() if not range_deg]
         if at_rest:

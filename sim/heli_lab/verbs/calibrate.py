@@ -294,11 +294,11 @@ def _before_and_after(result: BenchCalibration, base: Rig, before: dict[str, flo
             "of": "rig",
             "name": name,
             "before": base[name].value,
-            "after": result.rig[name].value,
-            "unit": result.rig[name].unit.replace("1", ""),
+            "after": quantity.value,
+            "unit": "" if quantity.unit == "1" else quantity.unit,
         }
-        for name in result.rig
-        if result.rig[name].source.startswith(SOURCE)
+        for name, quantity in result.rig.items()
+        if quantity.source.startswith(SOURCE)
     ]
     board_rows = [
         {"of": "board", "name": name, "before": before[name], "after": value, "unit": spec_of(name).unit}

@@ -17,13 +17,14 @@ from heli_host.ui.cli.verb import Verb
 from heli_lab import fit_inputs as option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from heli_sim.rig import Rig
 
     from heli_lab.explain import Diagnosis, InsufficientExcitation
     from heli_lab.fit.identification import Identification
     from heli_lab.fit.records import Record
+    from heli_lab.fit_inputs import FitInputs
     from heli_lab.watch.error_shares import ErrorShares
     from heli_lab.watch.saved_rig import Forecaster, JudgedFlight, RigComparison, RigModel, SavedRig
 
@@ -251,12 +252,12 @@ def diagnose(
     from heli_lab.errors import NotExcited
     from heli_lab.explain import InsufficientExcitation, insufficient_excitation
     from heli_lab.explain import diagnose as run_diagnosis
-    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, model_of, parts, read_parts
+    from heli_lab.fit_inputs import fit_inputs, flights_line, input_lines, parts, read_parts
     from heli_lab.report.diagnosis.page import write_effect_file, write_insufficient_excitation, write_report
     from heli_lab.report.diagnosis.serialize import to_json
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count, limit_malloc_arenas
-    from heli_lab.watch.saved_rig import Forecaster, saved_json
+    from heli_lab.watch.saved_rig import saved_json
 
     # Exclude loaded libraries from garbage collection, which otherwise takes 8 % of a diagnosis.
     gc.freeze()
@@ -277,6 +278,7 @@ def diagnose(
         paths = [*flights, *validation_paths]
         flight_parts = read_parts(paths, inputs, spans, allow_gaps, skip_sign_check, bar.show)
         try:
+            # One iterator for both: no list keeps the flights in memory, and those to fit come first.
             result = run_diagnosis(
                 inputs.model,
                 inputs.rig,
@@ -300,14 +302,8 @@ def diagnose(
             if result.label != "explained" or save_rig is not None:
                 bar.show("forecasts", 0.93)
                 files = _FlightFiles(paths, inputs.labels, spans, len(flights), allow_gaps)
-                records = _records_of(result)
-                forecast = Forecaster(
-                    files.held_out(records) if result.has_other_flight else files.fitted(records),
-                    lambda rig: model_of(rig, inputs.model.name, effect_file or ()),
-                    inputs.rig,
-                )
-                if result.label != "explained":
-                    shares = _error_shares(result, forecast, lambda: files.fitted(records))
+                forecast = _forecaster(result, files, inputs, effect_file or ())
+                shares = _error_shares(result, forecast, files)
                 if save_rig is not None:
                     bar.show("forecasts with the extended rig", 0.94)
                     rig_file = _write_extended_rig(result, save_rig, forecast, with_unconfirmed, with_term)
@@ -381,6 +377,18 @@ class _RigFile(NamedTuple):
     lines: list[str]  # Causes that were left out, and forecast errors
 
 
+def _forecaster(
+    result: Diagnosis, files: _FlightFiles, inputs: FitInputs, effect_files: Sequence[Path]
+) -> Forecaster:
+    """Forecast the validation flights; without them, the fitted flights."""
+    from heli_lab.fit_inputs import model_of
+    from heli_lab.watch.saved_rig import Forecaster
+
+    records = _records_of(result)
+    judged = files.held_out(records) if result.has_other_flight else files.fitted(records)
+    return Forecaster(judged, lambda rig: model_of(rig, inputs.model.name, effect_files), inputs.rig)
+
+
 def _write_extended_rig(
     result: Diagnosis, path: Path, forecast: Forecaster, with_unconfirmed: bool, with_term: bool
 ) -> _RigFile:
@@ -399,17 +407,17 @@ def _write_extended_rig(
     return _RigFile(saved, remark, lines)
 
 
-def _error_shares(
-    result: Diagnosis, forecast: Forecaster, fitted: Callable[[], Sequence[JudgedFlight]]
-) -> ErrorShares | None:
-    """Return the parts of the forecast error; None if no flight is long enough."""
+def _error_shares(result: Diagnosis, forecast: Forecaster, files: _FlightFiles) -> ErrorShares | None:
+    """Return the parts of the forecast error; None if nothing is missing, or all flights are short."""
     from heli_host.errors import HeliError
 
     from heli_lab.watch.error_shares import error_shares
 
+    if result.label == "explained":
+        return None
     try:
-        return error_shares(result, forecast, fitted)
-    except HeliError:
+        return error_shares(result, forecast, lambda: files.fitted(_records_of(result)))
+    except HeliError:  # all flights are too short for a forecast
         return None
 
 

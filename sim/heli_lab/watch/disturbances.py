@@ -26,7 +26,7 @@ from heli_lab.fit.flight_model import RigParameters, filter_record, model_functi
 from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.fit.records import Record, prepare
 from heli_lab.fit.reference_trajectory import ReferenceTrajectory
-from heli_lab.fit.voltage_timing import may_be_slower, sampled, slow_log_note, with_acting_voltages
+from heli_lab.fit.voltage_timing import may_be_slower, sampled, slow_log_notes, with_acting_voltages
 from heli_lab.watch.twin_model import TwinModel
 
 DETECTABLE_WITHIN_s: Final = 0.5
@@ -102,7 +102,8 @@ def with_likely_advance(
     model: Model, rig: Rig, records: Sequence[Record], loop_Hz: float | None
 ) -> tuple[Record, ...]:
     """Return flights whose voltages act earlier within their rows, if the flights are much more likely so."""
-    # `loop_Hz` is the rate of the control loop, None if it is unknown. The logs are of one logger.
+    # `loop_Hz` is the rate of the control loop; if it is None, the flights show whether their log is slower.
+    # The logs are of one logger.
     present = tuple(records) if loop_Hz is None else sampled(records, loop_Hz)
     if model.delay or not any(may_be_slower(record, loop_Hz) for record in records):
         return present
@@ -123,13 +124,16 @@ def acting_flights(
     """Return flights of one logger with the mean voltages that acted from row to row, and what their logs
     lack, one sentence for each kind of log.
     """
-    result, notes = [], dict[str, None]()
+    # `loop_Hz` is as in `with_likely_advance`.
+    result, notes = [], list[str]()
     for flight, label in zip(flights, labels, strict=True):
         try:
             (record,) = with_likely_advance(model, rig, [prepare(flight, rig, label)], loop_Hz)
         except IdentifyError:
+            # A flight that cannot be fitted does not show when its voltages act: it stays as logged.
             result.append(flight)
             continue
-        notes[slow_log_note(record)] = None
+        notes += slow_log_notes([record])
+        # A twin reads whole flights: of the record for a fit, it needs only when the voltages act.
         result.append(with_acting_voltages(flight, record.advance_rows))
-    return result, list(filter(None, notes))
+    return result, list(dict.fromkeys(notes))  # logs of one kind share a note

@@ -188,7 +188,7 @@ def _calibrate_by_simulation(model: Model, rig: Rig, seed: int, say: Say) -> Cal
         try:
             flight = fly_simulated(noisy_model, rig, random_plan(flight_seed), flight_seed)
         except FlightAborted:
-            continue
+            continue  # another seed replaces it
         histories.append(evidence(twin, DEFAULT_DISTURBANCES, flight).history)
     source = f"{FLIGHTS} simulated flights, seed {seed}"
     return Calibration(DEFAULT_DISTURBANCES, fit_tail(histories), source)

@@ -232,12 +232,14 @@ def count_rad_of(flight: Flight, rig: Rig) -> Floats:
 
 _SETTLE_s: Final = 1.5
 """Time off the table before a flight counts as free, s: the ground effect and the thrust of the take-off have
-then decayed. Compare `identify.thresholds.SETTLED_S`. Longer: damage at take-off is detected late.
+then decayed. Compare `heli_lab.fit.thresholds.SETTLED_S`. Longer: damage at take-off is detected late.
 Shorter: the ground effect is taken for a change."""
 
 
 class FreeFlight:
-    """Decides for successive steps whether the flight is free."""
+    """Decides for successive steps whether the flight is free: the motors have run off the table and the
+    stops for `_SETTLE_s`.
+    """
 
     def __init__(self, rig: Rig, step_s: float) -> None:
         self._settling_steps = round(_SETTLE_s / step_s)
@@ -255,10 +257,10 @@ class FreeFlight:
         ]
 
     def update(self, angles_rad: Floats | None, flying: bool) -> bool:
-        """Return whether a step is free. Shapes: `angles_rad` (3,)."""
+        """Return whether a step is free. Shapes: `angles_rad` (3,), None without samples."""
         if not flying:
             self._clear_steps = 0
-        elif angles_rad is not None:
+        elif angles_rad is not None:  # without angles, the count stays
             self._clear_steps = 0 if self._touches(angles_rad) else self._clear_steps + 1
         return self._clear_steps > self._settling_steps
 

@@ -34,7 +34,9 @@ RESERVED_BYTES = 4 * 1024 * 1024
 
 _MIN_FLIGHT_S = 60.0
 _SYNC_S = 1.0
+"""Time between two synchronisations: a power failure loses about as much of the log."""
 _STALL_S = 0.5
+"""Time of a write from which on the log reports that the disk blocked."""
 _CLOSE_TIMEOUT_S = 60.0
 _LOOK_S = 0.1
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -273,7 +275,7 @@ class BackgroundFile:
                     self._changed.notify_all()
             self._file.sync()
         except LogWriteError:
-            pass
+            pass  # the file keeps its error, and `write_error` reports it
         except Exception as error:  # noqa: BLE001 - a thread that dies must say so, whatever killed it
             self._failure = LogWriteError(
                 f"cannot write the log {self._path}: {type(error).__name__}: {error}", "report it"

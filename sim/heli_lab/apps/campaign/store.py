@@ -156,7 +156,7 @@ def read_result(folder: Path, key: str) -> JobResult | None:
     try:
         return JobResult.read(json.loads((folder / f"{key}.json").read_text()))
     except (OSError, ValueError, KeyError, TypeError):
-        return None
+        return None  # a missing or damaged file: the job runs again
 
 
 @contextmanager

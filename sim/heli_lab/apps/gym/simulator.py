@@ -120,7 +120,7 @@ class Domain:
             try:
                 return rig.replace(**values)
             except RigError:
-                continue
+                continue  # a combination that no rig can have: draw again
         raise LearningError(
             f"no draw of rig '{rig.name}' within {self.tolerances:g} tolerances is valid", "lower tolerances"
         )

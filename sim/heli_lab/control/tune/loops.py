@@ -476,8 +476,8 @@ def _sign_changes(
     """Find the frequencies at which a real function of each loop gain changes sign, by bisection. Shapes:
     `grid` (n,).
     """
-    # All loops are bisected together: `control.stability_margins` interpolates one point per call and takes a
-    # hundred times as long.
+    # All loops are bisected together: python-control's `stability_margins` interpolates one point per call
+    # and takes a hundred times as long.
     changes = {name: np.flatnonzero(np.diff(np.sign(value(loop)))) for name, loop in grid.items()}
     # One element per crossing: its interval of the grid, and the number of its loop.
     interval = np.concatenate(list(changes.values()))

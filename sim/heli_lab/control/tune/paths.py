@@ -27,8 +27,9 @@ def shaped_step(
     distance: float, slew: float, acceleration: float, duration_s: float, every_s: float
 ) -> Floats:
     """Return the shaped setpoint after a step of the target, as the board computes it. Returns shape (n,
-    3).
+    3): setpoint, rate and smoothed acceleration, in the unit of `distance` and seconds.
     """
+    # Mirrors `Setpoints::follow` in firmware/core/flight/setpoints.cpp, for a target that does not move.
     # All changes are per tick: `step` of the setpoint, `change` of the step.
     max_step, max_change = slew * _TICK_s, acceleration * _TICK_s**2
     setpoint = step = smooth_change = 0.0

@@ -249,7 +249,7 @@ def figure_of_latex(latex: str) -> Figure | None:
     text = "$" + latex.replace("\\boldsymbol", "\\mathbf") + "$"
     try:
         width, height, depth, *_ = MathTextParser("path").parse(text, dpi=72)
-    except ValueError:
+    except ValueError:  # mathtext knows only a part of LaTeX
         return None
     scale = _EQUATION_POINTS / 10.0 / 72.0
     figure = Figure(figsize=(width * scale + 0.1, (height + depth) * scale + 0.1))

@@ -331,8 +331,8 @@ def cautions(result: Diagnosis) -> list[str]:
         for conflict in result.prior_conflicts
     ]
     lines += [
-        f"without {cause}, a model with {numbers_of(conflicts)} predicts these flights as well: measure what "
-        f"the rig file states there; if it is wrong, nothing shows {cause}"
+        f"without {cause}, a model with {estimates_with_priors(conflicts)} predicts these flights as well: "
+        f"measure what the rig file states there; if it is wrong, nothing shows {cause}"
         for cause, conflicts in result.assessment.instead.items()
     ]
     if not result.has_converged_estimate:
@@ -347,7 +347,7 @@ def cautions(result: Diagnosis) -> list[str]:
     return lines
 
 
-def numbers_of(conflicts: Iterable[PriorConflict]) -> str:
+def estimates_with_priors(conflicts: Iterable[PriorConflict]) -> str:
     """State estimates of parameters, each with its prior."""
     return " and ".join(
         f"{conflict.name} = {conflict.value:.3g}{_unit(conflict)} (rig file: {conflict.prior.mean:.3g} "

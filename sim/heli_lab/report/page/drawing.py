@@ -133,7 +133,7 @@ class Drawing:
                 stderr=subprocess.DEVNULL,
             )
         except OSError:
-            return
+            return  # this process renders the figures itself
         assert process.stdin is not None
         assert process.stdout is not None
         # Closing the pipe of a process that has ended raises an OSError if the pipe still holds data.

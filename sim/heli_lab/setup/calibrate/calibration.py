@@ -303,7 +303,7 @@ def _stop_and_restore(heli: Heli, previous_values: Mapping[str, float]) -> None:
     for name, value in previous_values.items():
         try:
             heli.params[name] = value
-        except HeliError:
+        except HeliError:  # restore the others first, then report all
             refused.append(name)
     if refused:
         raise CalibrationError(
