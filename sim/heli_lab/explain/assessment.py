@@ -150,6 +150,7 @@ def influences(
     # The model with all causes is compared with the refitted model without the cause, on the axis where they
     # differ most. The change is the root mean square difference of their predictions on the fitted flights.
     # If the model without the cause adds a larger error on the held-out flights, the change is that error.
+    # Without a change, every significant cause matters: so above `DISTURBED_STD`, and with much evidence.
     if not extended.candidates or after.train.total > DISTURBED_STD:
         return {}
     samples_with_all = normalised_samples(after.fit)
@@ -333,7 +334,7 @@ def estimated_advance(screenings: Sequence[Screening], loop_Hz: float | None) ->
             record = flight.reference.record
             assert isinstance(record, Record)
             is_slow = may_be_slower(record, loop_Hz)
-            slow_records += [record] * is_slow
+            slow_records += [record] * is_slow  # none if it is not slow
             signals.append(CandidateSignals(advance_rates(flight) * is_slow, measured_rad=None))
         (statistics,) = screening.information(signals, [1])
         score, information = score + float(statistics.score[0]), information + statistics.information.item()
@@ -436,13 +437,13 @@ def with_curves(
     if assessment.verdict.label != "unexplained" or not comparison.held_out:
         return None
     if assessment.verdict.unlisted:
-        return search.final
+        return search.final  # it has the curves already
     final, acceptance = search.final, Acceptance(comparison, kinds)
     held_out = comparison.held_out_estimate(final)
     for scored in search.screening.splines()[:_MAX_CURVES_TRIED]:
         candidate = scored.candidate
         if scored.log_likelihood_gain <= acceptance.penalty(candidate):
-            return None
+            return None  # later curves have lower scores
         refit = comparison.refit(
             [*final.candidates, candidate], candidate.start_values(scored.coefficients), final
         )

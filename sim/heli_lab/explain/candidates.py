@@ -215,6 +215,7 @@ class SplineTerm(Effect):
         quantity = QUANTITIES[self.on].expression(at)
         # Position along the curve in units of the knots' distance; basis function i has its centre at i.
         position = 1.0 + (quantity - p[f"{self.name}_low"]) / p[f"{self.name}_step"]
+        # Beyond its ends, the curve is constant.
         position = ca.fmin(ca.fmax(position, 1.0), KNOTS - 2.0)
         return sum((p[f"{self.name}_{i}"] * bspline(position - i) for i in range(KNOTS)), ca.SX(0))
 
@@ -281,7 +282,9 @@ def knot_span(values: Floats) -> tuple[float, float]:
 
 
 def bspline_basis(values: Floats, low: float, step: float) -> Floats:
-    """Evaluate the B-spline basis of a curve. Shapes: `values` (n,); returns (n, KNOTS)."""
+    """Evaluate the B-spline basis of a curve, as `SplineTerm` does. Shapes: `values` (n,); returns (n,
+    KNOTS).
+    """
     position = np.clip(1.0 + (values - low) / step, 1.0, KNOTS - 2.0)
     distance = np.abs(position[:, None] - np.arange(KNOTS))
     basis: Floats = (np.maximum(2.0 - distance, 0.0) ** 3 - 4.0 * np.maximum(1.0 - distance, 0.0) ** 3) / 6.0

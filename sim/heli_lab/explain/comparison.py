@@ -342,7 +342,7 @@ def _effect_source(effect: Effect) -> str:
     """Return the source code of an effect, because a user may change it in an effect file."""
     try:
         return inspect.getsource(type(effect))
-    except (OSError, TypeError):
+    except (OSError, TypeError):  # a class without a source file, as in a notebook
         return type(effect).__qualname__
 
 
@@ -496,6 +496,7 @@ class ModelComparison:
         result = self._estimate(candidates, start or {}, warm_start)
         if warm_start is not None:
             result = self._retry_from_better_start(result, candidates, start or {}, warm_start)
+        # An estimate that this search has used before costs no refit.
         self.fits += len(self._cache.used_keys) > previous_count
         ids = frozenset(candidate.id for candidate in candidates)
         best = self._best_by_ids.get(ids)
@@ -539,7 +540,7 @@ class ModelComparison:
         for candidate in hypothesis.candidates:
             effect = candidate.effect
             if effect.moment not in values:
-                continue
+                continue  # no event, or at a known moment
             flights = [record for record in self.train if effect.flight in ("", record.label)]
             if not any(event_is_inside(record, values[effect.moment]) for record in flights):
                 return False

@@ -91,8 +91,8 @@ def quantity_unit(name: str) -> str:
 def best_quantity(
     quantities_by_flight: Sequence[Mapping[str, Floats]], contribution: Floats, cause: Candidate
 ) -> str | None:
-    """Return the name of the quantity of which a contribution is nearly a function. Shapes: `contribution`
-    (n of all flights,).
+    """Return the name of the quantity of which a contribution is nearly a function; None without one. Shapes:
+    `contribution` (n of all flights,).
     """
     if isinstance(cause.effect, SplineTerm):
         return cause.effect.on
@@ -201,6 +201,7 @@ def missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> Mi
     flight_basis = bspline_basis(quantity, low, step)
     contribution, *_ = np.linalg.lstsq(flight_basis, contribution_rad[:, axis], rcond=None)
 
+    # KNOTS cubic splines cover KNOTS - 3 intervals.
     curve_points = np.linspace(low, low + step * (KNOTS - 3), _CURVE_POINTS)
     basis = bspline_basis(curve_points, low, step)
     basis -= basis.mean(axis=0)  # a constant angle is a parameter of every model

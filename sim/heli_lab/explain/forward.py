@@ -77,6 +77,7 @@ class Progress:
 
 
 def _forward_share(rounds: float) -> float:
+    """Return the share of the work after some `rounds`; each further one is less likely to be needed."""
     return float(_FORWARD + 0.6 * (1.0 - _ROUND_DECAY**rounds))
 
 
@@ -139,7 +140,7 @@ class Acceptance:
         if refit.margin <= min_margin(refit.candidate.id, refit.hypothesis.ids):
             return False
         if refit.candidate.is_spline:
-            return True
+            return True  # it has no moment, and no single size
         return self.comparison.in_flight(refit.hypothesis) and self.is_significant(refit, refit.candidate)
 
     def is_significant(self, refit: Refit, candidate: Candidate) -> bool:
@@ -147,7 +148,7 @@ class Acceptance:
         or, where a likelihood is one-sided and the Wald test fails, by the log-likelihood ratio.
         """
         if candidate.is_spline:
-            return True
+            return True  # its coefficients are significant together, by the margin
         if refit.margin > thresholds.WALD_OVERRIDE_NATS:
             return not is_neutral(refit.hypothesis, candidate, self.kinds)
         return is_significant(refit.hypothesis, candidate, self.kinds, self.comparison.train[0])
@@ -180,7 +181,7 @@ def is_significant(
     """Whether a size of an effect differs from its neutral value by two standard errors (Wald test)."""
     kind = kinds.get(candidate.id)
     if kind is None:
-        return True
+        return True  # only the catalogue states which parameters are sizes
     are_significant = _significant_sizes(hypothesis, kind, record)
     return not are_significant or any(are_significant)
 
@@ -306,7 +307,7 @@ def better_rival(comparison: ModelComparison, best: Refit, accepted: Sequence[Re
     ids = {f"{rival}.{axis}" for rival in PAUSE_FAMILIES}
     rivals = [refit for refit in accepted if refit.candidate.id in ids]
     if len(rivals) < len(PAUSE_FAMILIES):
-        return best
+        return best  # the rival was not accepted
 
     def on_all_flights(refit: Refit) -> float:
         return refit.margin + comparison.held_out_estimate(refit.hypothesis).log_likelihood
@@ -524,7 +525,7 @@ def refit_on_grid(
             start = {**best.params, **grid_values}
             hypothesis = comparison.refit([*base.candidates, candidate], start, base)
             if hypothesis.log_likelihood <= best.log_likelihood:
-                break
+                break  # points farther away are less likely still
             best = hypothesis
     gain = best.log_likelihood - base.log_likelihood
     penalty = acceptance.penalty(scored.candidate, scored.tried)
@@ -587,7 +588,7 @@ def _typical_proposals(
         ):
             candidate = typical_candidate(kinds[id_])
             zeros = np.zeros(len(candidate.linear_parameters))
-            proposals.append(ScoredCandidate(candidate, 0.0, zeros, zeros, 1))
+            proposals.append(ScoredCandidate(candidate, 0.0, zeros, zeros, 1))  # no score shows it
     return proposals
 
 

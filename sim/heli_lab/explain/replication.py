@@ -312,7 +312,7 @@ class _CauseSubsets:
             WorseAxis(axis, fitted, evaluated, reduction)
             for is_reverse, (fitted, evaluated) in zip((False, True), self._side_labels, strict=True)
             for axis, reduction in self.reductions(ids, is_reverse).items()
-            if min(reduction.interval95) > 1.0
+            if min(reduction.interval95) > 1.0  # surely larger errors than the baseline
         )
 
     def most_harmful(self, ids: Sequence[str], worse: Sequence[WorseAxis]) -> str:

@@ -107,6 +107,7 @@ def _scale(values_by_flight: Sequence[Floats]) -> _Scale:
 
 def _near_rest_curves(rate: Floats) -> Floats:
     """Return curves of a scaled rate (n,) that look like dry friction near rest, shape (n, widths)."""
+    # The sign of the rate, smooth within a tenth of the width, and fading out beyond the width.
     return np.column_stack(
         [np.tanh(rate / 0.1 / width) * np.exp(-((rate / width) ** 2)) for width in _REST_WIDTHS]
     )
@@ -194,7 +195,8 @@ def with_impulse(
 
 def _robust_statistics(residual: AuxiliaryResiduals) -> Floats:
     """Return absolute t statistics of impulses, (k, 3), over their robust standard deviation."""
-    # Kicks inflate the estimated disturbances, so that the statistics themselves are too small.
+    # Kicks inflate the estimated disturbances, so that the statistics themselves are too small: the scale, at
+    # most 1, only enlarges them.
     statistic = residual.impulse.t_statistic
     scale = _STD_PER_MAD * np.median(np.abs(statistic - np.median(statistic, axis=0)), axis=0)
     result: Floats = np.abs(statistic) / np.clip(scale, 1e-6, 1.0)
@@ -223,7 +225,7 @@ def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> _SquareSums:
         [start for w in linear.windows for start in range(w.start, w.stop - length + 1, length)], int
     )
     outputs = len(linear.model.outputs)
-    if not starts.size:
+    if not starts.size:  # all parts of the flight are shorter than a window
         return _SquareSums(np.zeros(outputs), 0)
     rows = starts[:, None] + np.arange(length)
     response = _responses(linear, rows, rates) / linear.reference.record.resolution[:, None]
@@ -606,6 +608,7 @@ def failing_regions(before: Estimate, after: Estimate, axis: str, first: str = "
     """Find the plane in which the model fails most clearly, and test its cells before and after the
     extension.
     """
+    # `first` is the quantity that a cause is known to depend on; if it is empty, the flights choose it.
     # Before the extension, disturbances explain what is missing: test against those that remain after it.
     screening = Screening(replace(before, disturbances=after.disturbances))
     values = _plane_values(screening)

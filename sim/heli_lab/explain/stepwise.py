@@ -69,7 +69,7 @@ class _HeldOutMoment:
         effect = hypothesis.candidates[self.index].effect
         moments_s = [hypothesis.params[effect.moment], *self._suggested_s(without_event)]
         moments_s = [moment_s for moment_s in moments_s if event_is_inside(self.record, moment_s)]
-        if not moments_s:
+        if not moments_s:  # no moment is in the free flight
             return hypothesis
         log_likelihoods = [self._log_likelihood(hypothesis, moment_s) for moment_s in moments_s]
         max_log_likelihood = max(log_likelihoods)
@@ -93,7 +93,8 @@ class _HeldOutMoment:
         after = self._log_likelihood(hypothesis, moment_s + _STEP_s)
         curvature = before - 2.0 * log_likelihood + after
         if curvature >= 0.0:
-            return moment_s
+            return moment_s  # the parabola has no maximum
+        # The vertex of the parabola through the three points, not beyond them.
         vertex = 0.5 * (before - after) / curvature
         return moment_s + _STEP_s * max(-1.0, min(1.0, vertex))
 
@@ -183,7 +184,7 @@ def with_fixed_moments(hypothesis: Hypothesis) -> tuple[Candidate, ...]:
     def with_fixed_moment(candidate: Candidate) -> Candidate:
         """Return an event that happens at known moments only; other candidates are unchanged."""
         effect = candidate.effect
-        if not effect.flight:
+        if not effect.flight:  # no event
             return candidate
         moments_s = {**effect.other_moments_s, effect.flight: hypothesis.params[effect.moment]}
         return replace(candidate, effect=replace(effect, flight=_NO_FLIGHT, other_moments_s=moments_s))
@@ -392,7 +393,7 @@ class BackwardElimination:
     ) -> dict[str, float]:
         """Return the log-likelihood ratio of each cause on the held-out flights, nats, by id."""
         if not self.comparison.held_out or not reduced_by_id:
-            return {}
+            return {}  # nothing contradicts a cause then
         estimates = parallel_map(self.comparison.held_out_estimate, [final, *reduced_by_id.values()])
         final_estimate, *reduced_estimates = estimates
         return {
@@ -407,7 +408,7 @@ class BackwardElimination:
         # Return them with their models, the closest first.
         # `reduced` is the model without the cause.
         if candidate.is_spline:
-            return []
+            return []  # effects in its place were refitted before it was accepted
         round_ = self._round_of(candidate.id)
         round_refits = round_.refits if round_ else ()
         other_causes = [other for other in final.candidates if other is not candidate]
@@ -526,7 +527,7 @@ def search(
     for _ in range(_MAX_TURNS):
         progress.accepted = len(final.candidates)
         selection = forward.select(final)
-        if selection.hypothesis is final:
+        if selection.hypothesis is final:  # no cause was added
             break
         exchanged = exchange(comparison, acceptance, progress, selection.hypothesis)
         final, causes = backward.eliminate(exchanged)

@@ -254,7 +254,7 @@ def _named_cause(cause: Cause, kinds: Mapping[str, EffectSpec], fit: Fit, unexpl
 
 def _moments_text(effect: Effect) -> str:
     """State in which flight an event happened, and when it happened in other flights."""
-    if not effect.flight:
+    if not effect.flight:  # no event
         return ""
     others = (f", and at {at_s:.2f} s in {label}" for label, at_s in effect.other_moments_s.items())
     return f" in {effect.flight}{''.join(others)}"

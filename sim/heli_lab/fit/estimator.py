@@ -117,6 +117,7 @@ class _Likelihood:
         for (group, parameters), shifted_values in zip(differences, shifted, strict=True):
             change = group.likelihoods(shifted_values) - group.likelihoods(values)
             gradient[parameters] = change / steps[parameters]
+        # A parameter on its bound stays there if the gradient points outwards.
         gradient[(point <= self.low + 1e-9) & (gradient < 0.0)] = 0.0
         gradient[(point >= self.high - 1e-9) & (gradient > 0.0)] = 0.0
         return gradient
@@ -177,6 +178,7 @@ def maximise(
     """Maximise a likelihood over the disturbances by Newton's method with backtracking. Shapes: `std_range`
     (float, float), `start_values` (m,).
     """
+    # `start_values` are the log-likelihoods at `start`, None if they are not known.
     likelihood = _Likelihood(value, start, std_range)
     point, curvature = likelihood.inside(start.logarithms), start.curvature
     curvature_is_new = curvature is None
@@ -198,6 +200,7 @@ def maximise(
         # Armijo's rule; the longest acceptable step is taken.
         acceptable = [i for i, share in enumerate(_SHARES) if gains[i] > 0.1 * share * predicted_gain]
         if not acceptable:
+            # A new curvature may give a better step; without a new one, the search ends.
             if curvature_is_new:
                 break
             values, curvature = likelihood.curvature(point)
@@ -427,7 +430,7 @@ class _GaussNewton:
         return iterate
 
     def with_next_parameters(self, iterate: _Iterate) -> _Iterate | None:
-        """Take a step of the parameters with backtracking."""
+        """Take a step of the parameters with backtracking; None if no length of it gains enough."""
         # The linearised model of `iterate` is released first, because two need too much memory.
         iterate.filtered = None
         share = 1.0
@@ -458,7 +461,7 @@ class _GaussNewton:
         last_log_posterior = -np.inf
         for _ in range(_MAX_ITERATIONS):
             if iterate.log_posterior == -np.inf:
-                return iterate, False
+                return iterate, False  # the model diverges
             if iterate.step.promised_nats > _CONVERGED_NATS:
                 after = self.with_next_parameters(iterate)
                 if after is None:

@@ -96,6 +96,7 @@ def estimated_names(model: Model, rig: Rig, free: Sequence[str] | None, fixed: S
 
 def flight_constants(model: Model, rig: Rig, about: Mapping[str, float] | None = None) -> dict[str, Prior]:
     """Return the priors of `FLIGHT_CONSTANTS`, the parameters that differ from flight to flight."""
+    # `about` has their values in other flights; None: those of the rig file.
     # The priors are weak: a few seconds of flight outweigh them. The standard deviation of an encoder zero is
     # half its tolerance in the rig file. The standard deviation of a torque is half its tolerance too, where
     # cables add a tolerance of their own, `UNSTATED`: 0.05, 0.02 and 0.1 N m about elevation, pitch and
@@ -404,6 +405,7 @@ def _check_records(records: Sequence[Record]) -> None:
 def _state_stds(model: Model, rig: Rig) -> dict[str, float]:
     """Return the prior standard deviation of each effect's state at the beginning of a window, by name."""
     thrust_N = thresholds.STATE_STD_V * rig["thrust_gain"].value
+    # A state of an unlisted unit has the standard deviation 1 in its unit.
     by_unit = {**thresholds.STATE_STD, "V": thresholds.STATE_STD_V, "N": thrust_N}
     return {state.name: by_unit.get(state.unit, 1.0) for state in model.states[RIGID_STATES:]}
 
@@ -513,6 +515,7 @@ def _effect_states_after_run_in(
         )
         _, end = problem.kernel.predict(grid.inputs, start, parameters)
         effect_states[simulated] = end[:, RIGID_STATES:]
+    # After a simulation that diverges, effects start at rest.
     return np.where(np.isfinite(effect_states), effect_states, 0.0)
 
 

@@ -192,17 +192,17 @@ class Record:
 
     @property
     def outputs(self) -> Floats:
-        """The angles, as `estimation.Recording` names them, shape (n, 3), rad."""
+        """The angles, as `grey_box.Recording` names them, shape (n, 3), rad."""
         return self.angles_rad
 
     @property
     def inputs(self) -> Floats:
-        """The voltages, as `estimation.Recording` names them, shape (n, 2), V."""
+        """The voltages, as `grey_box.Recording` names them, shape (n, 2), V."""
         return self.voltages_V
 
     @property
     def resolution(self) -> Floats:
-        """The encoders' counts, as `estimation.Recording` names them, shape (3,), rad."""
+        """The encoders' counts, as `grey_box.Recording` names them, shape (3,), rad."""
         return self.count_rad
 
     def over_rows(self, values: Floats) -> Floats:

@@ -143,6 +143,7 @@ class ShootingCost:
         self.variance = [variance for variance, _ in estimates]
         self.weights = [weights for _, weights in estimates]
         iterate.cost = self.cost(iterate)
+        # `before` is empty at first: the change then counts as infinite.
         changes = [
             float(np.max(np.abs(new / old - 1))) for new, old in zip(self.variance, before, strict=False)
         ]
@@ -157,6 +158,7 @@ class ShootingCost:
             row_weights = np.repeat(weights, grid.inputs.steps)[:, None]
             mean_weight = float(np.mean(row_weights))
             weighted = evaluation.residual * np.sqrt(row_weights)
+            # At least the variance of the quantisation, which is 1.
             variance = np.maximum(
                 1.0, long_run_variance(weighted, grid.slices, grid.inputs.step_s) / mean_weight
             )
@@ -409,7 +411,7 @@ def restart_outliers(cost: ShootingCost, iterate: Iterate) -> bool:
             median = float(np.median(mean_square))
             outlying = np.flatnonzero(mean_square > thresholds.RESTART_OUTLIER * median)
             if not len(outlying) or median > thresholds.MAX_RESTART_MEDIAN:
-                break
+                break  # no window is wrong, or the model is
             alternatives = alternative_states(problem, index, iterate.theta, iterate.states[index])
             # In later turns only the first alternative is new: the end of the previous window, which may have
             # left its own wrong minimum.

@@ -185,7 +185,7 @@ class ScaleTest:
         self._weak_form = weak_form
         self.estimates: tuple[ScaleEstimate, ...] = ()
         if weak_form.seconds < _MIN_s:
-            return
+            return  # without estimates, no scale counts as wrong
         self._noise, free_scales_fit = _noise_of_axes(weak_form)
         self._unit_scales_fit = _fit_scales(weak_form, self._noise, axes=(), start=weak_form.mean)
         self.estimates = tuple(

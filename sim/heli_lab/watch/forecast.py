@@ -250,7 +250,7 @@ class _Runner:
         """Filter a free step; return the number of its segment, -1 before the filter begins."""
         if self.kalman is None:
             if step.measured_rad is None:
-                return -1
+                return -1  # the filter starts from measured angles
             self._begin(row, inputs)
         kalman = self.kalman
         assert kalman is not None
@@ -284,7 +284,7 @@ class _Runner:
         self._segment += 1
 
     def _measure(self, kalman: KalmanFilter, step: Step, inputs: InputHistory) -> None:
-        no_changes: Floats = np.empty((0, ONSETS))
+        no_changes: Floats = np.empty((0, ONSETS))  # a forecast watches for no change of the rig
         kalman.propagate_sensitivity(no_changes, np.empty(0, bool))
         if step.measured_rad is not None:
             kalman.update(
@@ -313,6 +313,7 @@ class _Ensemble:
         self._steady_Nm: Floats = np.array([start.steady_torque_Nm for start in starts])
         self._gust_Nm: Floats = np.array([start.gust_Nm for start in starts])
         zero_rad = np.array([start.zero_rad for start in starts])
+        # The zero of travel is arbitrary, so it has no error.
         self._shown_zero_rad = np.hstack((zero_rad, np.zeros((len(starts), 1))))
         self._decay = disturbances.autocorrelation(filtered.step_s)[:_AXIS_COUNT]
 

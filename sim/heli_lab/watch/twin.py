@@ -263,7 +263,7 @@ class Twin:
         if step.measured_rad is not None:
             inputs.remember(step.measured_rad)
         elif self._comparison is None:
-            inputs.forget_motion()
+            inputs.forget_motion()  # a comparison starts from motion without gaps
         # In a landing the motors run at the border of their dead zone, where evidence is unreliable. An alarm
         # that was raised before the landing still gets its final ranking.
         has_open_alarm = self._comparison is not None and self._comparison.has_open_alarm
@@ -274,7 +274,7 @@ class Twin:
             yield TwinEvent("unjudged", t_s, reason)
         if self._comparison is None:
             if step.measured_rad is None:
-                return
+                return  # a comparison starts from measured angles
             self._begin_comparison(step.index)
             yield TwinEvent("free", t_s, "the comparison with the model begins")
         elif (step.index - self._comparison.first_step) % self._steps_per_block == 0:

@@ -527,6 +527,7 @@ def _with_rate_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ..
 
 def _controller_output_row(size: int, angle: int, first: int, pid: Pid) -> Floats:
     """Return the row from the states to the proportional and derivative output of a controller."""
+    # `angle` is the number of the controlled state, and `first` that of the first state of its rate filter.
     row = np.zeros(size)
     cutoff = 2.0 * np.pi * pid.filter_Hz
     row[angle] = -pid.kp

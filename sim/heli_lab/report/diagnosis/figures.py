@@ -663,12 +663,13 @@ def _regions_row(
 ) -> None:
     """Draw the plane of one axis for each model, with a colour bar of the missing torque."""
     torques = np.concatenate([np.abs(flight.torque_Nm) for flight in regions.before.flights])
-    color_limit_mNm = 1e3 * float(np.quantile(torques, 0.98)) or 1.0
+    color_limit_mNm = 1e3 * float(np.quantile(torques, 0.98)) or 1.0  # a colour range of 0 is invalid
     (x_factor, x_unit), (y_factor, y_unit) = (
         _display_factor_and_unit(regions.x),
         _display_factor_and_unit(regions.y),
     )
     points = None
+    # A model that was not extended has the panel before the extension only.
     for panel, test, model in zip(panels, (regions.before, regions.after), models, strict=False):
         for flight in test.flights:
             panel.plot(

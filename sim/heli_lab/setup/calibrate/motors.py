@@ -423,6 +423,7 @@ def _pitch_dynamics_of_rig(rig: Rig) -> _PitchDynamics:
     inertia_kg_m2 = _pitch_inertia(rig)
     tilting_kg = rig["M_f"].value + rig["M_b"].value + rig["M_h"].value
     stiffness = tilting_kg * rig["g"].value * rig["L_phi"].value / inertia_kg_m2
+    # A rig file may state no stiffness or no friction: the fit starts from small ones.
     return _PitchDynamics(max(stiffness, 0.1), max(rig["friction_pitch"].value / inertia_kg_m2, 0.05), 0.02)
 
 
@@ -522,7 +523,7 @@ def geometry_share(rig: Rig) -> float:
 def _gain_and_zero(volts: Floats, thrust_N: Floats) -> tuple[float, float]:
     """Fit a straight line; return its slope [N/V] and the voltage at which it is zero [V]."""
     slope, constant = np.polyfit(volts, thrust_N, 1)
-    return float(slope), float(-constant / slope) if slope else 0.0
+    return float(slope), float(-constant / slope) if slope else 0.0  # `thrust_of` refuses a level line
 
 
 def _pitch_inertia(rig: Rig) -> float:
