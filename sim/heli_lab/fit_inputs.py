@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from heli_host.ui.cli.options import DEFAULT_RIG
+from heli_host.ui.cli.say import say
 
 from heli_lab.errors import IdentifyError, NotExcited, WrongSigns
 
@@ -126,6 +127,7 @@ class FitInputs:
     """Rig, model and flight names of a fit."""
 
     rig: Rig  # Prior values and tolerances
+    rig_file: str  # Name or file of the rig on the command line
     model: Model  # Equations of motion with the effects of the rig and of the command line
     labels: list[str]  # Short names of the flights to fit, then of those for validation
 
@@ -145,7 +147,7 @@ def fit_inputs(
 
     loaded_rig = load_rig(rig)
     model_with_effects = model_of(loaded_rig, model, effect_files, effects)
-    return FitInputs(loaded_rig, model_with_effects, short_names([*flights, *validate]))
+    return FitInputs(loaded_rig, rig, model_with_effects, short_names([*flights, *validate]))
 
 
 def model_of(
@@ -164,6 +166,19 @@ def input_lines(inputs: FitInputs, rig: str) -> tuple[str, str]:
     name = f" ({inputs.rig.name})" if rig != inputs.rig.name else ""
     effects = ", ".join(effect.name for effect in inputs.model.effects)
     return f"rig: {rig}{name}{source}", f"model: {inputs.model.name}{f' with {effects}' if effects else ''}"
+
+
+def other_rig_notes(rig: Rig, rig_file: str, flown_rigs: Mapping[str, str]) -> list[str]:
+    """Name the flights that another rig flew than `rig` of `rig_file`, by the flight's label and its rig."""
+    from heli_lab.fit.identification import first_rig_name
+
+    # The log of an imported or blind flight names no rig. An identified rig has the name of its own file.
+    same_rigs = {"", rig.name, first_rig_name(rig), Path(rig_file).stem}
+    return [
+        f"note: {label} is a flight of rig {flown_rig}, and --rig is {rig_file}"
+        for label, flown_rig in flown_rigs.items()
+        if flown_rig not in same_rigs
+    ]
 
 
 def flights_line(flights: Iterable[Mapping[str, Any]]) -> str:
@@ -238,6 +253,10 @@ def read_parts(
     show("reading", 0.0)
     # Fits do not use the extra columns, which are 80 MB for ten minutes at 1 kHz.
     flights = [replace(read_flight(path, allow_gaps=allow_gaps), extra={}) for path in paths]
+    flown_rigs = {
+        label: flight.meta.get("rig", "") for label, flight in zip(inputs.labels, flights, strict=True)
+    }
+    say(*other_rig_notes(inputs.rig, inputs.rig_file, flown_rigs))
     if not skip_sign_check:
         show("checking signs and zeros", 0.0)
         refuse_wrong_signs(flights, inputs.labels, inputs.rig)

@@ -140,13 +140,17 @@ def test_rig_and_used_flights_come_first(terminal: Terminal, tmp_path: Path) -> 
     (flights,) = (line for line in more if line.startswith("flights: "))
     assert rig == "rig: makki2024 (the default of --rig)"
     assert model == "model: multibody"
+    notes = [line for line in more if line.startswith("note: ")]
+    assert notes == [
+        f"note: {name} is a flight of rig hidden, and --rig is makki2024" for name in ("a.mcap", "b.mcap")
+    ]
     # One time is for the flights to fit: the validation flight stays whole.
     used = re.fullmatch(
         r"flights: fitted a.mcap \((\d+) s used\); validated on b.mcap \((\d+) s used\)", flights
     )
     assert used and int(used[1]) < int(used[2]) - 5
     mine = terminal("identify", "a.mcap", "--rig", "hidden.toml", "--free", "thrust_gain")
-    assert mine.out.startswith("rig: hidden.toml (makki2024)\n")
+    assert mine.out.startswith("rig: hidden.toml (makki2024)\n") and "note: " not in mine.out
 
 
 @pytest.mark.parametrize(

@@ -341,7 +341,7 @@ def test_a_twin_file_that_was_learned_from_a_flight_can_be_used(
     assert learned.rig.name == "makki2024"
     assert run(["twin", str(log), "--rig", "quanser-course", "--to", "9"]) == 0
     printed_of_other_rig = capsys.readouterr().out
-    assert "is a flight of rig makki2024, but the twin is of rig quanser-course" in printed_of_other_rig
+    assert "is a flight of rig makki2024, and --rig is quanser-course" in printed_of_other_rig
     assert "this twin has learned no flight of this machine" in printed_of_other_rig
     assert "learned from" not in printed_of_other_rig
     assert learned.calibration.source == "monday.mcap"

@@ -96,6 +96,7 @@ def predict(
         bar.show("reading", 0.0)
         label = flight.name
         flown = replace(read_flight(flight, allow_gaps=allow_gaps), extra={})
+        say(*option.other_rig_notes(loaded_rig, rig, {label: flown.meta.get("rig", "")}))
         bar.show("voltages between the rows", 0.05)
         (flown,), slow_log_notes = acting_flights(model, loaded_rig, [flown], [label], loop_rate_Hz)
 

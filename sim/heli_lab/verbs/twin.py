@@ -190,15 +190,11 @@ def _report_lines(report: TwinReport, twin_rig: TwinRig, nominal_labels: Sequenc
     """Describe the result of a flight, with a warning if the flight is of another rig than the twin, or one
     from which the twin has learned.
     """
-    from heli_lab.fit.identification import first_rig_name, is_fitted_flight
+    from heli_lab.fit.identification import is_fitted_flight
 
     rig = twin_rig.rig
     lines = [f"{report.label}: {sentence}" for sentence in report.sentences()]
-    if report.flown_rig not in ("", rig.name, first_rig_name(rig), Path(twin_rig.name).stem):
-        lines.append(
-            f"{report.label} is a flight of rig {report.flown_rig}, "
-            f"but the twin is of rig {rig.name}; give the right one with --rig"
-        )
+    lines += option.other_rig_notes(rig, twin_rig.name, {report.label: report.flown_rig})
     learned_labels = [*nominal_labels, *twin_rig.calibration.source.split(", ")]
     if report.label in learned_labels or is_fitted_flight(rig, report.label):
         lines.append(f"the twin has learned from {report.label}, so it cannot detect what differs in it")
