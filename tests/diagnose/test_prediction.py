@@ -319,6 +319,7 @@ def test_nothing_is_confirmed_and_saved_without_a_held_out_flight(
     assert "cause_found: Perhaps the rotors' thrust lags" in result.out
     assert "what to do next: fly another plan, and give that flight to --validate" in result.out
     assert "save the extended model" not in result.out
+    assert "of the model without causes: elevation" in result.out and "their ratio" not in result.out
 
 
 def test_flight_is_divided_into_two_folds_of_the_same_length() -> None:

@@ -567,6 +567,24 @@ def share_heading(shares: ErrorShares) -> str:
     )
 
 
+def _free_run_lines(result: Diagnosis) -> list[str]:
+    """Write the free-run errors of baseline and extended model; in one line if the extended model is the
+    baseline, because no cause is confirmed.
+    """
+    reductions = result.error_reductions
+    if all(reduction.before_deg == reduction.after_deg for reduction in reductions.values()):
+        errors = ", ".join(f"{axis} {reduction.after_deg:.3g}" for axis, reduction in reductions.items())
+        return [f"{metric(result)}, of the model without causes: {errors}"]
+    lines = [f"{metric(result)}, before and after, and their ratio:"]
+    for axis, reduction in reductions.items():
+        low, high = reduction.interval95
+        lines.append(
+            f"  {axis:9}  {reduction.before_deg:<7.3g} {reduction.after_deg:<7.3g} {reduction.ratio:.2f} "
+            f"({low:.2f} to {high:.2f})"
+        )
+    return lines
+
+
 def lines(result: Diagnosis | InsufficientExcitation, shares: ErrorShares | None = None) -> list[str]:
     """List the numbers behind the summary, one line each; `shares` are the parts of the forecast error."""
     if isinstance(result, InsufficientExcitation):
@@ -583,13 +601,7 @@ def lines(result: Diagnosis | InsufficientExcitation, shares: ErrorShares | None
             f"{cause.effect} (confidence {cause.confidence:.2f}{unclear}{_confirmation_text(cause)})"
         )
     lines += small_effect_lines(result)
-    lines.append(f"{metric(result)}, before and after, and their ratio:")
-    for axis, reduction in result.error_reductions.items():
-        low, high = reduction.interval95
-        lines.append(
-            f"  {axis:9}  {reduction.before_deg:<7.3g} {reduction.after_deg:<7.3g} {reduction.ratio:.2f} "
-            f"({low:.2f} to {high:.2f})"
-        )
+    lines += _free_run_lines(result)
     if shares is not None:
         lines.append(f"{share_heading(shares)}:")
         lines += [f"  {line}" for line in table_lines([SHARE_HEADS, *error_share_rows(shares)])]
