@@ -85,17 +85,17 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
             if parameter in estimates
         }
         if values:
-            causes[name] = values
+            causes[name] = values  # a cause without estimates stays out of the model
     try:
         errors = (
             _errors_of_predicted_flights(case, answer.predicted_flights)
             if answer.predicted_flights
             else _model_errors(case, case.rig.replace(**rig_values), causes)
         )
-    except HeliError:
+    except HeliError:  # the estimates are invalid as parameters
         return WORST_RATIO
     if errors is None or not np.isfinite(errors).all():
-        return WORST_RATIO
+        return WORST_RATIO  # diverged, or flights without a prediction
     # A count is the smallest error that an encoder shows.
     floor = count_rad(case.rig)
     ratio = np.exp(np.mean(np.log(np.maximum(errors, floor) / np.maximum(reference, floor))))
@@ -133,6 +133,7 @@ def _prediction_rows(flight: Flight) -> tuple[Floats, Integers, Integers]:
     t_s = np.arange(flight.t_s[0], flight.t_s[-1] - 2.0 * _STEP_s, _STEP_s)
     horizon = round(HORIZON_s / _STEP_s)
     edge_steps = round(_WINDOW_s / _STEP_s)
+    # A flight that is shorter than the filter has no start.
     last_start = len(t_s) - horizon - edge_steps if _window_rows(flight) <= len(flight) else 0
     start_steps = np.arange(edge_steps, last_start, round(_START_INTERVAL_s / _STEP_s))
     return t_s, start_steps, start_steps + horizon
@@ -338,7 +339,7 @@ def equation_correlation(answer: Answer, torques_Nm: Mapping[str, AxisSeries]) -
     for name, true in torques_Nm.items():
         proposed = answer.equation_torques.get(name)
         if proposed is None or proposed.t_s[-1] < true.t_s[0] or proposed.t_s[0] > true.t_s[-1]:
-            correlations.append(0.0)
+            correlations.append(0.0)  # no torque is proposed along this flight
             continue
         _, correlation = torque_correlation(true.t_s, true.values, proposed.t_s, proposed.values)
         correlations.append(correlation)
@@ -383,7 +384,7 @@ def score_answer(
     calibration = tuple((probabilities[name], name in truth.causes) for name in scored)
     named = {name for name in probabilities if probabilities[name] >= NAMED and name != NOTHING}
     if failure:
-        named = set()
+        named = set()  # the base rates stand for the missing answer, and name nothing
     most_probable = max(probabilities, key=probabilities.__getitem__)
     visible = truth.causes - {NOTHING}
     return CaseScore(

@@ -410,7 +410,7 @@ def torques_of_terms(
         (term, float(coefficients[end - 1])) for term, end in zip(terms, ends, strict=True) if term.shape
     ]
     if not unlisted:
-        return {}
+        return {}  # all terms are those of listed causes
 
     def torque_Nm(motion: SmoothedFlight) -> Floats:
         """Sum the unlisted terms along a flight, shape (n, 3)."""

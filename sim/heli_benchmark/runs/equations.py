@@ -157,7 +157,7 @@ def judge_equation(
             "nats": [proposed.discovery.train, proposed.discovery.held_out],
         }
     if proposed is None or not unlisted:
-        return answer
+        return answer  # nothing to compare
     records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
     comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
     true_s, true_Nm = true_torque_Nm(case, 1, VALIDATE_S)
@@ -250,7 +250,7 @@ def judge_rows(
     rows: dict[str, EquationRow] = json.loads(options.json.read_text()) if options.json.exists() else {}
     for case in cases:
         if case.name in rows:
-            continue
+            continue  # judged by an earlier run
         started_s = time.process_time()
         try:
             prepared = prepare(case, options.folder, keep=options.keep)

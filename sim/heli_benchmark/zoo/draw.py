@@ -252,7 +252,7 @@ class _Drawing:
 
     def _row_faults(self, container: str, clock_kind: str) -> list[str]:
         if self.random.chance(0.55):
-            return []
+            return []  # most files have no fault
         possible = [
             fault
             for fault in _ROW_FAULTS
@@ -260,7 +260,7 @@ class _Drawing:
             and (container not in ("mcap", "ros2") or fault in ("lost rows", "long gap"))
         ]
         if clock_kind in ("none", "rows"):
-            possible = ["stalled values"]
+            possible = ["stalled values"]  # without times, other faults do not show
         fine_clocks = ("s", "ms", "us", "ns", "epoch s", "epoch ms", "iso date", "clock", "datetime", "min")
         if clock_kind not in fine_clocks:
             possible = [f for f in possible if f not in ("reversed", "swapped rows", "lost rows", "long gap")]
@@ -271,7 +271,7 @@ class _Drawing:
         for _ in range(min(count, len(possible))):
             fault = self.random.choice([item for item in possible if item not in chosen])
             chosen.append(fault)
-        if "reversed" in chosen:
+        if "reversed" in chosen:  # its report would cover swapped rows too
             chosen = [fault for fault in chosen if fault != "swapped rows"]
         return chosen
 
@@ -285,6 +285,7 @@ class _Drawing:
     def _sampled(self, clock_kind: str, container: str, faults: Sequence[str]) -> _Measured:
         """Sample the flight at the times of the rows."""
         random, flight = self.random, self.flight
+        # Coarse times must repeat, and whole milliseconds must not.
         rates_Hz = [rate for rate in _RATES_Hz if container != "xlsx" or rate <= 100.0]
         if container in ("mcap", "ros2"):
             rates_Hz = [rate for rate in rates_Hz if rate <= 250.0]
@@ -304,7 +305,7 @@ class _Drawing:
         true_s = start_s + step_s * np.arange(count, dtype=np.float64)
         jitter = random.choice(("even", "even", "even", "jitter", "jitter", "lost time"))
         if clock_kind in ("rows", "none", "tenths", "whole seconds", "five digits"):
-            jitter = "even"
+            jitter = "even"  # such clocks cannot show it
         if jitter == "jitter":
             true_s = true_s + step_s * random.between(0.02, 0.25) * random.rng.uniform(-1.0, 1.0, count)
         elif jitter == "lost time":
@@ -435,7 +436,7 @@ class _Drawing:
                 10.0**-decimals * full_scale * (2.0 if "half sums" in self.traits else 1.0)
             )
         if refusal == "voltages":
-            return roles
+            return roles  # the file has none
         names = words.sums if roles == SUMS else tuple(words.voltage.format(motor) for motor in words.motors)
         if self.style == "numbered" and roles == MOTORS:
             self.unknown.append("columns")
@@ -464,7 +465,7 @@ class _Drawing:
         logged = {column.group: column for column in self.columns}
         for axis, word in zip(AXES, words.angles, strict=True):
             if axis not in logged:
-                continue
+                continue  # the angle that is left out
             if wants_setpoints:
                 extras.append("setpoints")
                 setpoint = _setpoint(np.unwrap(measured.angles_rad[axis]), step_s, setpoint_kind)
@@ -546,7 +547,7 @@ class _Drawing:
         while self.rate_Hz / every < 25.0:
             every -= 1
         if every < 2:
-            return False
+            return False  # each row has voltages
         rows = np.arange(measured.true_s.size)
         is_sample = rows % every == int(self.random.rng.integers(every))
         is_held = self.random.chance(0.3)

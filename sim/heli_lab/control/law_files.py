@@ -338,7 +338,7 @@ def law_rig(default: str | Path = "makki2024") -> Rig:
 def _rig_environment(rig: str | None) -> Mapping[str, str]:
     """Return the environment variable that states the rig for `law_rig` in another process."""
     if rig is None:
-        return {}
+        return {}  # the law file has its default rig
     path = Path(rig)
     # The process may run in another folder.
     return {RIG_VARIABLE: str(path.absolute()) if path.is_file() else rig}

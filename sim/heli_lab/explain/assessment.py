@@ -78,7 +78,7 @@ def absent_terms(
     for id_, kind in kinds.items():
         names = [name for name in kind.override if name in values and rig[name].value > 0.0]
         if not kind.baseline or not names:
-            continue
+            continue  # no term of the baseline, or none that the fit estimates
         # Estimates and standard errors in units of the rig file's values, one per parameter of the term.
         nominal = np.array([rig[name].value for name in names])
         is_zero = [name in fit.at_bound and name not in joint for name in names]
@@ -396,7 +396,7 @@ def with_remainder(
     for screening in screenings:
         screening.release()
     if not ranked or not acceptance.worth_a_refit([ranked[0].scored]):
-        return None
+        return None  # no refit can be accepted
     best = ranked[0]
     candidate = best.scored.candidate
     start = candidate.start_values(best.scored.coefficients)

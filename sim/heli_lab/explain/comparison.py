@@ -630,7 +630,7 @@ def _estimate_from(
         return estimate(parameter_vector, references, functions, theta)
     first = estimate(parameter_vector, references, functions, theta, warm_start.estimate.disturbances)
     if first.log_likelihood <= warm_start.log_likelihood + NEW_DISTURBANCES_NATS:
-        return first
+        return first  # the new candidates explain little: the disturbances need not change
     # The disturbances of the warm start had explained a torque that the new model explains itself. With
     # smaller disturbances, the likelihood may have another maximum.
     other_disturbances = first.other_disturbances()

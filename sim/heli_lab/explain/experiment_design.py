@@ -242,7 +242,7 @@ def discriminating_experiment(
     ratios: dict[str, float] = {}
     for key in dict.fromkeys((*exciting_segments, *_ALWAYS_TRIED)):
         if max(ratios.values(), default=0.0) > _SUFFICIENT_MULTIPLE * MIN_MARGIN:
-            break
+            break  # other plans need not be simulated
         ratio = expected_log_likelihood_ratio(pair.first, pair.second, comparison, _plan_toml([key]))
         if ratio is not None:
             ratios[key] = ratio

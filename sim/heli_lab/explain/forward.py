@@ -92,7 +92,7 @@ def limited_std(
     std_by_name = {}
     for parameter in kind.parameters:
         if parameter.name not in std:
-            continue
+            continue  # fixed
         parameter_std, resolution = std[parameter.name], 0.0
         if parameter.unit == "s":
             parameter_std = time_std_s(parameter_std, record.step_s)
@@ -303,7 +303,7 @@ def better_rival(comparison: ModelComparison, best: Refit, accepted: Sequence[Re
     # them, it is wrong (2026-11).
     family, _, axis = best.candidate.id.partition(".")
     if family not in PAUSE_FAMILIES or not comparison.held_out:
-        return best
+        return best  # it has no rival, or no flights decide between them
     ids = {f"{rival}.{axis}" for rival in PAUSE_FAMILIES}
     rivals = [refit for refit in accepted if refit.candidate.id in ids]
     if len(rivals) < len(PAUSE_FAMILIES):

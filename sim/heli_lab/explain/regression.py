@@ -257,7 +257,7 @@ class EquationRefits:
             weakest = t_ratios.index(min(t_ratios))
             value, std = coefficients[weakest]
             if abs(value) > SIGNIFICANT_STD_ERRORS * std:
-                break
+                break  # all coefficients are significant
             shorter = self._refit_without_term(best, weakest, signals)
             if shorter.margin <= best.margin:
                 break
@@ -534,7 +534,7 @@ class EquationSearch:
         for scored_group in finalists:
             equation = extended_equation(scored_group, current)
             if equation is None:
-                continue
+                continue  # a term would occur twice
             if confirmed_scores >= EQUATION_FINALISTS:
                 break
             self.say(f"trying {scored_group.group.key}")
@@ -563,7 +563,7 @@ class EquationSearch:
         # has hardly any score.
         is_slow = disturbances.slow_std > disturbances.fast_std
         if not is_slow.any():
-            return []
+            return []  # no slow disturbance hides a term
         disturbances_without_drift = replace(
             disturbances, slow_std=np.where(is_slow, _NO_DRIFT_Nm, disturbances.slow_std), curvature=None
         )
@@ -679,10 +679,10 @@ def discover(
     if curve is not None and curve is not base:
         spline_gain = curve.log_likelihood - base.log_likelihood
         if equation_gain < EQUATION_MIN_SPLINE_SHARE * spline_gain:
-            return None
+            return None  # it describes only a part of the curve
     catalogue = ListedEffects(comparison, base, kinds or {}, search.say)
     if catalogue.equivalent_effect(refitted.equation, refitted.hypothesis, refitted.penalty) is not None:
-        return None
+        return None  # the search missed a listed effect: no equation is needed
     hypothesis, superfluous = catalogue.without_superfluous(refitted.hypothesis)
     rivals = [Rival(key, ratio) for key, ratio in confirmed.rivals.items()]
     return Discovery(

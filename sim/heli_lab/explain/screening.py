@@ -222,7 +222,7 @@ def _jump_times_s(t_s: Floats, torque_Nm: Floats) -> tuple[float, ...]:
     # because a disturbance with a correlation time of seconds hides a step from a score one second away.
     width = max(1, round(_JUMP_WINDOW_s / float(np.median(np.diff(t_s)))))
     if len(t_s) < 4 * width:
-        return ()
+        return ()  # too short for the means before and after a time
     sums = np.vstack((np.zeros(3), np.cumsum(torque_Nm, axis=0)))
     moving_mean_Nm = (sums[width:] - sums[:-width]) / width
     # Row i is the jump at row i + width of the torques.
@@ -313,7 +313,7 @@ class GridSearch:
                 {candidate.grid[name] for candidate in candidates if candidate.effect.flight == flight}
             )
             if prior is None or len(values) < _MIN_REFINED_POINTS:
-                continue
+                continue  # without bounds, or a choice of few values
             distance = _grid_distance(values, best.candidate.grid[name])
             if name.endswith("Hz"):
                 distance = _SPECTRAL_RESOLUTION_SHARE / self.seconds

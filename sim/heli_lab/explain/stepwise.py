@@ -342,7 +342,7 @@ class BackwardElimination:
         round_ = self._round_of(cause_id)
         cause = next(candidate for candidate in final.candidates if candidate.id == cause_id)
         if not cause.is_spline or round_ is None:
-            return reduced
+            return reduced  # only splines displace other causes
         displaced = list(round_.base.candidates)
         displaced += [refit.candidate for refit in round_.refits if self.acceptance.accepts(refit)][:1]
         present_ids, restored = list(reduced.ids), list[Candidate]()
@@ -356,7 +356,7 @@ class BackwardElimination:
                 restored.append(candidate)
                 present_ids.append(candidate.id)
         if not restored:
-            return reduced
+            return reduced  # nothing was displaced, or nothing is compatible
         start = {**round_.base.params, **reduced.params}
         return self.comparison.refit([*reduced.candidates, *restored], start, reduced)
 

@@ -348,7 +348,7 @@ def prior_conflicts(fit: Fit) -> tuple[PriorConflict, ...]:
 def tried_without(conflicts: Sequence[PriorConflict], estimate: Estimate) -> tuple[PriorConflict, ...]:
     """Estimate a model again without the priors of conflicting parameters."""
     if not conflicts:
-        return ()
+        return ()  # no refit is needed
     parameters = estimate.parameter_vector
     names = [conflict.name for conflict in conflicts]
     indices = [parameters.names.index(name) for name in names]

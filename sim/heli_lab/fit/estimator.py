@@ -194,7 +194,7 @@ def maximise(
         move = likelihood.newton_move(gradient, curvature)
         predicted_gain = 0.5 * float(gradient @ move)
         if predicted_gain < tolerance_nats:
-            break
+            break  # converged
         trials = likelihood.at(*(point + share * move for share in _SHARES))
         gains = trials.sum(axis=1) - values.sum()
         # Armijo's rule; the longest acceptable step is taken.

@@ -226,7 +226,7 @@ def unexplained_shares(flight: Trace) -> tuple[Floats, Floats]:
 def unexcited_axes(flights: Sequence[Trace]) -> dict[str, float]:
     """Find the axes whose free runs show nothing about the model."""
     # Within each window, such an axis rests, or follows a parabola to within its encoder's quantisation. Any
-    # model predicts that.
+    # model predicts that. The values are the ranges of the angles [deg], 0 at rest.
     motion = np.array([unexplained_shares(flight)[1] for flight in flights])
     range_rad = np.array([np.ptp(flight.measured_rad, axis=0) for flight in flights])
     count_rad = np.array([flight.sigma_rad for flight in flights]) * np.sqrt(12.0)
@@ -241,7 +241,7 @@ def refuse_unexplained(flight: Trace) -> None:
     shares, motion = unexplained_shares(flight)
     moving = motion > MIN_MOTION
     if not moving.any():
-        return
+        return  # nothing is to be explained
     best = int(np.argmin(np.where(moving, shares, np.inf)))
     if shares[best] > UNEXPLAINED:
         raise NotExcited(
@@ -470,7 +470,7 @@ def _rms_over_flights(flights: Sequence[FreeRunErrors], values: Sequence[float])
 def rounded(number: float, std: float) -> str:
     """Format a `number` to two significant digits of its standard error `std`."""
     if not std > 0.0 or not np.isfinite(std):
-        return f"{number:.6g}"
+        return f"{number:.6g}"  # a fixed parameter, or one without information
     digits = max(0, 1 - int(np.floor(np.log10(std))))
     return f"{number:.{digits}f}"
 

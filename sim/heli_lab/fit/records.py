@@ -38,7 +38,7 @@ def encoder_counts(flight: Flight, rig: Rig) -> tuple[Floats, list[str]]:
     counts, notes = count_rad(flight), []
     for index, axis in enumerate(AXES):
         if math.isfinite(counts[index]):
-            continue
+            continue  # the flight shows its count
         counts[index] = rig_count_rad(rig)[index]
         if np.ptp(flight.angles_rad[:, index]) > 0.0:
             notes.append(f"{axis} is not in whole counts: {2.0 * math.pi / counts[index]:g} a turn assumed")

@@ -168,7 +168,7 @@ class ShootingCost:
             if self.robust:
                 weights = window_weights(evaluation.residual, grid.slices, variance)
             if np.array_equal(weights, weights_before):
-                break
+                break  # further turns change nothing
         return variance, weights
 
     def update_state_prior(self, iterate: Iterate) -> None:
@@ -344,7 +344,7 @@ class _WindowSearch:
         damping, idle_steps = np.full(len(self.windows), _DAMPING), 0
         for _ in range(max_steps):
             if not np.isfinite(self.cost).all() or idle_steps == patience:
-                break
+                break  # a window diverges, or the search has converged
             cost_before = float(self.cost.sum())
             is_better = self.replace_if_better(self._states_after_step(damping))
             damping = np.where(is_better, 0.2 * damping, 30.0 * damping)
@@ -672,7 +672,7 @@ def _copy_states(start: Fit, problem: Problem, states: list[Floats]) -> None:
     old_columns = {state.name: column for column, state in enumerate(start.problem.model.states)}
     for new_column, state in enumerate(problem.model.states):
         if state.name not in old_columns:
-            continue
+            continue  # an effect that the earlier fit did not have
         for new, old in zip(states, start.states, strict=True):
             if len(new) == len(old):
                 new[:, new_column] = old[:, old_columns[state.name]]

@@ -106,7 +106,7 @@ def with_likely_advance(
     # The logs are of one logger.
     present = tuple(records) if loop_Hz is None else sampled(records, loop_Hz)
     if model.delay or not any(may_be_slower(record, loop_Hz) for record in records):
-        return present
+        return present  # a delay is a negative advance
     screening = Screening(estimate_with_fixed_rig(model, rig, present).estimate)
     best = estimated_advance([screening], loop_Hz)
     screening.release()

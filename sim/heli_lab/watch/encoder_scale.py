@@ -426,7 +426,7 @@ def check_flight(flight: Flight, rig: str) -> list[FlightFinding]:
     test = ScaleTest(FlightInWeakForm(flight, rig_file, model))
     wrong = wrong_scale(test.estimates)
     if wrong is None:
-        return []
+        return []  # no scale is wrong
     return [finding_of(wrong, test.explanations(possible_effects(model)))]
 
 

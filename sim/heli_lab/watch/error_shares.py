@@ -256,7 +256,7 @@ def _range_of_large_errors(
 
     clearest = min(_bins(of_fitted), key=lambda bin_: chance(of_fitted, bin_))
     if chance(of_judged, clearest) > _CHANCE:
-        return None
+        return None  # the judged flights do not confirm the range
     is_inside = clearest.contains(of_judged)
     squares = of_judged.squares[:, axis]
     return LargeErrorRange(
@@ -294,7 +294,7 @@ def _bins(samples: _Samples) -> list[_Bin]:
 def _chance_of(squares: Floats, is_inside: Booleans) -> float:
     """Return the probability of errors as large as those inside if these do not differ from the others."""
     if min(is_inside.sum(), (~is_inside).sum()) < _MIN_FORECASTS:
-        return 1.0
+        return 1.0  # too few for a test
     # The import takes half a second of CPU time, which only unexplained errors need.
     from scipy.stats import mannwhitneyu
 

@@ -167,7 +167,7 @@ def _measured_at_horizons(filtered: _FilteredFlight, start_rows: Integers, longe
     last_row = len(filtered.segment) - 1
     for horizon, horizon_s in enumerate(HORIZONS_s):
         if horizon_s > longest_s:
-            continue
+            continue  # not forecast: stays nan
         rows = start_rows + round(horizon_s / filtered.step_s)
         is_within = rows <= last_row
         rows = np.minimum(rows, last_row)
@@ -554,7 +554,7 @@ def draw_forecasts(
         next_drawn_s = forecasts.start_s[0]
         for row, start_s in enumerate(forecasts.start_s):
             if start_s < next_drawn_s:
-                continue
+                continue  # it would overlap with the drawn one
             next_drawn_s = start_s + _DRAWN_EVERY_s
             # A path ends with the flight: at the longest horizon that has a measured angle.
             is_measured = np.isfinite(forecasts.measured_rad[row, :, 0])

@@ -82,7 +82,7 @@ class TwinReport:
         """State for how long no change was detected."""
         judged_s = self.free_s - self.unjudged_s
         if judged_s < _MIN_JUDGED_s:
-            return []
+            return []  # too short for a statement
         return [
             f"no change of the rig in {judged_s:.0f} s (evidence: {self.max_evidence_nats:.1f} nats at most)"
         ]

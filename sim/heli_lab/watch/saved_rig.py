@@ -228,6 +228,7 @@ class Forecaster:
 
     def __call__(self, rig: Rig) -> list[Forecasts]:
         """Return the forecasts with a rig, one per flight that is long enough."""
+        # The rigs of a diagnosis differ only by their effects and the refits with these.
         key = tuple(sorted(rig.effects))
         if key not in self._known:
             self._known[key] = forecast_flights(self.model_of(rig), rig, self.judged)

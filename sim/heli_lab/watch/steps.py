@@ -381,7 +381,7 @@ class VoltageRange:
         # range; otherwise the empty string.
         outside_V = self._extrapolated.outside_V(volts_V)
         if not np.any(outside_V > 0.0):
-            return ""
+            return ""  # both voltages are known
         is_first = self._last_unknown_step is None
         self._last_unknown_step = index + self._unknown_steps
         return self._unknown_voltage_text(volts_V, int(np.argmax(outside_V))) if is_first else ""

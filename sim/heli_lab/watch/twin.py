@@ -508,7 +508,7 @@ class _Comparison:
             self.glitches.begin_jump(self.kalman, before)
         second = self.glitches.alternative
         if second is None:
-            return
+            return  # no encoder may return from a jump
         innovation = self._update_filter(second.kalman, second.ratio, step, inputs, is_judged)
         if innovation is None:
             return
