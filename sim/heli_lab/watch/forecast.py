@@ -554,7 +554,7 @@ def draw_forecasts(
         next_drawn_s = forecasts.start_s[0]
         for row, start_s in enumerate(forecasts.start_s):
             if start_s < next_drawn_s:
-                continue  # it would overlap with the drawn one
+                continue
             next_drawn_s = start_s + _DRAWN_EVERY_s
             # A path ends with the flight: at the longest horizon that has a measured angle.
             is_measured = np.isfinite(forecasts.measured_rad[row, :, 0])
