@@ -424,6 +424,13 @@ def test_a_stated_unit_decides_and_the_motion_doubts_it() -> None:
     assert (doubt.chosen, doubt.alternative) == ("deg, as the header says", "rad")
 
 
+@pytest.mark.parametrize("motor", ["front", "back"])
+def test_an_unknown_unit_of_either_voltage_is_a_doubt(motor: str) -> None:
+    guess = proposed(renamed(flight_table(), **{motor: f"{motor} [furlong]"}))
+    doubts = [ambiguity.alternative for ambiguity in guess.ambiguities]
+    assert "furlong, as the header says" in doubts
+
+
 def test_commands_beyond_the_supply_do_not_change_their_unit() -> None:
     guess = proposed(flight_table("manual", commands=True))
     assert {item.unit for item in guess.profile.voltages.values()} == {"V"}

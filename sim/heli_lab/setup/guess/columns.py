@@ -354,7 +354,7 @@ def column_options(files: Sequence[PreparedFile], known: KnownEntries) -> Column
     has_voltages = _keep_motors_or_sums(named, left_out)
     if unnamed_axes or not has_voltages:
         named_columns = [name for names in named.values() for name in names]
-        unnamed, redundant = _without_rates(first, unnamed, named_columns, meanings)
+        unnamed, redundant = _distinct_columns(first, unnamed, named_columns, meanings)
         left_out |= redundant
     motors = [name for name in unnamed if meanings[name].possible_roles == VOLTAGE_ROLES]
     names_no_voltage = not any(named[role] for role in VOLTAGE_ROLES)
@@ -481,7 +481,7 @@ def _without_copies(
     return kept
 
 
-def _without_rates(
+def _distinct_columns(
     file: PreparedFile, unnamed: list[str], named: list[str], meanings: Mapping[str, ColumnMeaning]
 ) -> tuple[list[str], dict[str, str]]:
     """Return the columns without names that are no rates or copies of others, up to a limit; and the reasons
@@ -496,6 +496,7 @@ def _without_rates(
         """Motors first, then encoders. Last are columns that are about the rate of another one: under state
         feedback, so is the sum of the voltages, but with another slope.
         """
+        # The square of a correlation is the explained share of the variance.
         correlations = (_rate_correlation(signals, name, other) for other in columns)
         resembles_rate = any(correlation > FEEDBACK_MATCH**0.5 for correlation in correlations)
         return name not in motors, name not in file.encoders, resembles_rate
@@ -515,11 +516,11 @@ def _without_rates(
             left_out[name] = f"the same as {copied}"
         elif origin is None:
             kept.append(name)
-        elif origin.is_behind and origin.column in named:
+        elif origin.column_is_behind and origin.column in named:
             # A named axis follows this column, which may be a setpoint: third angle and voltages are checked
             # for that later.
             kept.append(name)
-        elif origin.is_behind and origin.column not in file.encoders:
+        elif origin.column_is_behind and origin.column not in file.encoders:
             # The copy was kept first: this column replaces it.
             kept[kept.index(origin.column)] = name
             left_out[origin.column] = f"a filtered copy of {name}"
@@ -532,8 +533,8 @@ def _without_rates(
 class _FilterOrigin(NamedTuple):
     """A column that another one resembles through a filter."""
 
-    column: str
-    is_behind: bool  # Whether this column lags, so that it is the copy itself
+    column: str  # The other column
+    column_is_behind: bool  # Whether `column` lags, so that it is the copy
 
 
 def _filter_origin(file: PreparedFile, name: str, others: Sequence[str]) -> _FilterOrigin | None:
@@ -541,7 +542,7 @@ def _filter_origin(file: PreparedFile, name: str, others: Sequence[str]) -> _Fil
     for other in others:
         lag_s = None if _share_limit(file.table, name, other) else _filter_lag_s(file.signals, name, other)
         if lag_s is not None:
-            return _FilterOrigin(other, is_behind=lag_s < 0.0)
+            return _FilterOrigin(other, column_is_behind=lag_s < 0.0)
     return None
 
 

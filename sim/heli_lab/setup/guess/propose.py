@@ -345,7 +345,9 @@ def _chosen_units(
 ) -> _ChosenUnits:
     """Choose the units with the rig file's supply, and once more if the files log another supply."""
     scale, ambiguities = choose_scale(motion, reference, rig)
-    logged_supply = with_logged_supply(reference, files, abs(motion.mean_sum) * scale.volts(reference))
+    hover_V = abs(motion.mean_sum) * scale.volts(reference)
+    logged_supply = with_logged_supply(reference, files, hover_V)
+    # Only shares depend on the supply; without another supply in the files, `reference` itself is returned.
     if scale.voltage not in SHARES or logged_supply is reference:
         return _ChosenUnits(reference, scale, ambiguities)
     return _ChosenUnits(logged_supply, *choose_scale(motion, logged_supply, rig))

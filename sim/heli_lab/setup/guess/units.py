@@ -479,8 +479,10 @@ def _contradicted_headers(best: Scale, by_motion: Scale, motion: MeasuredMotion)
 
 def unknown_unit_ambiguities(assignment: Assignment, scale: Scale) -> list[Ambiguity]:
     """Report each column whose name states a unit that is not known; units by the motion alone are rough."""
-    voltages = [("the voltages' unit", column, scale.voltage) for column in assignment.voltages]
-    angles = [(f"{axis}'s unit", assignment.columns[axis], scale.angles[axis]) for axis in AXES]
+    columns = [(f"{axis}'s unit", assignment.columns[axis], scale.angles[axis]) for axis in AXES]
+    # Both voltages have the same unit: one unknown header is enough to report it.
+    voltage = next(filter(unknown_unit_of, assignment.voltages), assignment.voltages[0])
+    columns.append(("the voltages' unit", voltage, scale.voltage))
     return [
         Ambiguity(
             subject,
@@ -488,7 +490,7 @@ def unknown_unit_ambiguities(assignment: Assignment, scale: Scale) -> list[Ambig
             f"{unknown}, as the header says",
             f"'{unknown}' is no known unit, and the motion shows a unit only roughly; state it in a profile",
         )
-        for subject, column, unit in (*angles, *voltages[:1])
+        for subject, column, unit in columns
         if (unknown := unknown_unit_of(column))
     ]
 
