@@ -332,7 +332,9 @@ def _score_result(reference: _CaseReference, result: Mapping[str, Any], where: s
 
 
 def equation_correlation(answer: Answer, torques_Nm: Mapping[str, AxisSeries]) -> float | None:
-    """Return the correlation of the equation of an answer with the true torques, mean of the flights."""
+    """Return the correlation of the equation of an answer with the true torques, mean of the flights; None
+    without a visible unlisted cause.
+    """
     if not torques_Nm:
         return None
     correlations = []

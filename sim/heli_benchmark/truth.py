@@ -215,7 +215,9 @@ def _normalised_errors(fit: Fit, held_out: Record) -> tuple[float, float]:
 
 
 def _size_in_standard_errors(fit: Fit, sizes: Sequence[str]) -> float | None:
-    """Return the size of an effect in standard errors (Mahalanobis distance of all its sizes from 0)."""
+    """Return the size of an effect in standard errors (Mahalanobis distance of all its sizes from 0); None if
+    none is free.
+    """
     indices = [i for i, name in enumerate(fit.problem.names) if name in sizes]
     if not indices:
         return None

@@ -5,6 +5,8 @@
     import heli_lab
 
     plant = heli_lab.linearise("makki2024")
+
+Arrays with three columns have elevation, pitch and travel, in this order; those with two, front and back.
 """
 
 from __future__ import annotations

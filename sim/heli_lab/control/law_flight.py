@@ -26,7 +26,7 @@ from heli_host.ui.cli.say import QUIET
 def fly_law(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
 ) -> tuple[FlownFlight, LawTrial]:
-    """Fly a plan with a law."""
+    """Fly a plan with a law; None: the law of the board."""
     # Returns `flown`, `trial`.
     # The caller must write the files of the flight, and then call `FlownFlight.raise_if_not_completed`, which
     # raises if the board's own law took over.

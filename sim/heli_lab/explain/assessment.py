@@ -308,7 +308,7 @@ def with_likelier_advance(
     """Return the comparison in which voltages act earlier or later within the rows of their log, if the
     flights are much more likely so with the final model of a search.
     """
-    # `screenings`: Those of the final model, on the fitted flights first.
+    # `screenings`: Those of the final model, on the fitted flights first. `loop_Hz` is as in `diagnose`.
     # None if they are not, if no log can be slower than the control loop, or if the model has a delay, which
     # is a negative advance.
     is_slow = any(may_be_slower(record, loop_Hz) for record in comparison.train)

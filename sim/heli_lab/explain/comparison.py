@@ -319,6 +319,7 @@ def cache_key(
     disturbances: DisturbanceModel | None = None,
 ) -> str:
     """Return a digest of everything that an estimate depends on in addition to the `fingerprint`."""
+    # A `warm_start` replaces the `disturbances`; without both, the estimate starts from those of the model.
     digest = hashlib.sha256(flights.encode())
     for candidate in candidates:
         candidate_values = (
@@ -594,7 +595,8 @@ class ModelComparison:
     def held_out_estimate(self, hypothesis: Hypothesis, warm_start: Estimate | None = None) -> Estimate:
         """Evaluate a `hypothesis` on the held-out flights."""
         # Only constants of each flight, such as encoder zeros, and disturbances are estimated. Parameters
-        # that all flights share stay at their values in the hypothesis.
+        # that all flights share stay at their values in the hypothesis. Without `warm_start`, constants start
+        # at their priors, and disturbances at those of the fitted flights.
         fitted = hypothesis.estimate
         shared = fitted.parameter_vector.shared_by_name(fitted.theta)
         vector = RigParameters(fitted.parameter_vector.model, self.rig, self.held_out, fixed=shared)

@@ -474,7 +474,7 @@ class RoundRefits:
                 self.refits.append(Refit(reduced, gain, penalty, term.log_likelihood_gain, term.candidate.id))
 
     def best_after_splines(self, splines: Sequence[ScoredCandidate]) -> Refit | None:
-        """Let the best of the `splines` compete with the best effect; return the refit to accept."""
+        """Let the best of the `splines` compete with the best effect; return the refit to accept, or None."""
         # A spline displaces a listed effect only after that effect was refitted over its grid.
         best = self.best
         required_margin = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)

@@ -152,7 +152,9 @@ def free_runs(
 
 
 def calibration_s(record: Record, requested_s: float | None = None) -> float:
-    """Limit the duration of a calibration to `CALIBRATE_SHARE` of a flight's free flight."""
+    """Limit the duration of a calibration, `CALIBRATE_s` by default, to `CALIBRATE_SHARE` of a flight's free
+    flight.
+    """
     max_s = CALIBRATE_SHARE * record.used_s
     if requested_s is None:
         return min(CALIBRATE_s, max_s)

@@ -502,7 +502,9 @@ class EquationSearch:
     def round(
         self, current: RefittedEquation | None, disturbances: DisturbanceModel
     ) -> RefittedEquation | None:
-        """Add one more group of terms."""
+        """Add one more group of terms to the `current` equation, None at first; return None if none is
+        accepted.
+        """
         warm_start = current.hypothesis if current else self.refits.base
         screening = Screening(replace(warm_start.estimate, disturbances=disturbances))
         signals = TermSignals(screening)
@@ -630,7 +632,10 @@ class _ConfirmedEquation(NamedTuple):
 def _select_terms(
     search: EquationSearch, disturbances: DisturbanceModel, without: Estimate | None, max_refits: float
 ) -> _ConfirmedEquation | None:
-    """Add groups of terms until none exceeds its penalty or is confirmed by the held-out flights."""
+    """Add groups of terms until none exceeds its penalty or is confirmed by the held-out flights; None if the
+    first group fails.
+    """
+    # `without` is the model without an equation on the held-out flights; None if there are none.
     comparison = search.refits.comparison
     confirmed: _ConfirmedEquation | None = None
     previous_held_out = 0.0
@@ -665,7 +670,9 @@ def discover(
     refits: float = math.inf,
     say: Callable[[str], None] | None = None,
 ) -> Discovery | None:
-    """Search for an equation of what a model lacks."""
+    """Search for an equation of what a model lacks; None without one."""
+    # `curve` is the model with spline terms in the place of the equation, and `kinds` the listed effects that
+    # may replace it; without them, neither is compared.
     # An equation that was proposed earlier may be in the rig or among the causes, from its effect file.
     name = free_name({*base.ids, *(effect.name for effect in comparison.model.effects)})
     search = EquationSearch(EquationRefits(comparison, base, name), say or (lambda _step: None))

@@ -158,6 +158,7 @@ def kicks(
     filtered: InnovationsModel, disturbances: DisturbanceModel, error: FlightErrors | None = None
 ) -> dict[str, Kicks]:
     """Count the kicks about each axis; axes without kicks are left out."""
+    # `error` are the errors of the model, by default those of `filtered`.
     # The most significant impulse is subtracted before the next one is sought, because it also raises the
     # statistics of instants close to it.
     error = filtered.perturbed_residual() if error is None else error

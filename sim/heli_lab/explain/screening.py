@@ -286,7 +286,9 @@ class GridSearch:
     def best_point(
         self, kind: EffectSpec, candidates: Sequence[Candidate], scores: Sequence[Score]
     ) -> ScoredCandidate | None:
-        """Return the best point of an effect's grid, or a better one between its points."""
+        """Return the best point of an effect's grid, or a better one between its points; None if no sign is
+        allowed.
+        """
         allowed = [
             index
             for index, (candidate, score) in enumerate(zip(candidates, scores, strict=True))

@@ -361,8 +361,8 @@ class BackwardElimination:
         return self.comparison.refit([*reduced.candidates, *restored], start, reduced)
 
     def _round_of(self, cause_id: str) -> Round | None:
-        """Return the last round of the forward selection that accepted a cause, or the one that it
-        replaced.
+        """Return the last round of the forward selection that accepted a cause, or the one that it replaced;
+        None without one.
         """
         accepted_id = self._round_ids.get(cause_id, cause_id)
         return next((round_ for round_ in reversed(self.rounds) if round_.accepted_id == accepted_id), None)

@@ -65,7 +65,9 @@ def family_number(
     parameters: Mapping[str, CauseParameter],
     ambiguous_with: Collection[str] = (),
 ) -> FamilyNumber | None:
-    """Compute the number that an effect shares with its family, such as the sum of a lag and a delay."""
+    """Compute the number that an effect shares with its family, such as the sum of a lag and a delay; None
+    without one.
+    """
     # The number is a weighted sum of the effect's parameters. Its standard error follows from their
     # covariance.
     family = kind.family

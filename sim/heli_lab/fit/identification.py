@@ -576,7 +576,9 @@ def _free_runs(fit: Fit) -> tuple[tuple[Trace, ...], tuple[FreeRunErrors, ...]]:
 
 
 def _start_values(problem: Problem) -> dict[str, float] | None:
-    """Find start values of the free parameters from which long windows do not diverge."""
+    """Find start values of the free parameters from which long windows do not diverge; None if those of the
+    rig file will do.
+    """
     start = problem.parameter_vector.start
     initial_states = initial_state_guess(problem, start)
     for index, record in enumerate(problem.records):

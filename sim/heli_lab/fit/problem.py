@@ -388,7 +388,7 @@ class Problem:
 
 
 def delay_of(model: Model, parameters: Floats) -> VoltageDelay | None:
-    """Find the parameter that delays the voltages of a model. Shapes: `parameters` (p,)."""
+    """Find the parameter that delays the voltages of a model; None without one. Shapes: `parameters` (p,)."""
     if not model.delay:
         return None
     return VoltageDelay(model.delay, float(parameters[model.parameter_names.index(model.delay)]))

@@ -393,7 +393,7 @@ def recover_windows(cost: ShootingCost, iterate: Iterate, before: Iterate) -> No
 
 
 def reoptimise_states(cost: ShootingCost, iterate: Iterate) -> Iterate | None:
-    """Optimise all initial states of an `iterate`, with its parameters fixed."""
+    """Optimise all initial states of an `iterate`, with its parameters fixed; None if they have converged."""
     refined = Iterate(iterate.theta, list(iterate.states), list(iterate.evaluations), iterate.cost)
     for index, states in enumerate(iterate.states):
         refine_states(cost, refined, index, np.arange(len(states)), max_steps=6)

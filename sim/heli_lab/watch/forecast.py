@@ -187,6 +187,7 @@ def _filter_flight(
     span_s: tuple[float | None, float | None],
 ) -> _FilteredFlight:
     """Filter a flight, and keep the estimate of the present every `START_EVERY_s`."""
+    # `span_s` is the part of the flight [s]; None: no limit.
     stepper = Stepper(sample_s)
     steps = list(stepper.update(samples))
     step_s = stepper.step_s

@@ -250,7 +250,9 @@ def forecast_flights(model: Model, rig: Rig, judged: Sequence[JudgedFlight]) -> 
 
 
 def at_horizon(forecasts: Sequence[Forecasts], baseline: Sequence[Forecasts] | None) -> HorizonErrors:
-    """Return the errors at `MAIN_HORIZON_s`; a TwinError is raised if no flight is long enough."""
+    """Return the errors at `MAIN_HORIZON_s`, and their reduction if there is a `baseline`; a TwinError is
+    raised if no flight is long enough.
+    """
     errors = errors_at(MAIN_HORIZON_s, forecasts, baseline)
     if errors is None:
         raise TwinError(

@@ -459,8 +459,8 @@ def travel_equation(signals: Signals, assignment: Assignment, rad: Mapping[str, 
     voltage_sum, _ = sum_and_difference(signals, assignment)
     total = filtered_signal(voltage_sum).value
     mean = float(total[rows].mean()) if rows.any() else 0.0
-    # Some logs lack the voltage of hover. Their mean is near 0, and the thrust counts as constant. The limit of
-    # half a standard deviation is set by judgement. No thrust pushes down, and peaks count as twice the mean.
+    # Some logs lack the voltage of hover: their mean is near 0, and the thrust counts as constant. Half a
+    # standard deviation is a judgement. No thrust pushes down, and peaks count as twice the mean at most.
     hover_is_logged = mean > 0.5 * float(total.std())
     relative_thrust = np.clip(total / mean, 0.0, 2.0) if hover_is_logged else np.ones(total.size)
     return _least_squares(
