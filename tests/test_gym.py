@@ -6,6 +6,7 @@ of the plant alone.
 
 import contextlib
 import copy
+import math
 import os
 import warnings
 from typing import Any
@@ -184,6 +185,16 @@ def test_an_episode_repeats_by_its_seed_on_the_board_too() -> None:
         ends.append(flown(env, seed=11, steps=20)[1])
         env.close()
     np.testing.assert_array_equal(*ends)
+
+
+def test_an_action_that_is_no_number_and_a_setpoint_beyond_a_stop_are_refused() -> None:
+    with pytest.raises(LearningError, match="give a number from 0 to less than 25"):
+        HoverEnv(setpoint_deg=25.0)
+    env = HoverEnv()
+    env.reset(seed=1)
+    for action in ([math.nan, 0.0], [0.0, 0.0, 0.0]):
+        with pytest.raises(LearningError, match="is not two numbers; check the policy"):
+            env.step(np.array(action, np.float32))
 
 
 def test_an_unknown_simulator_is_refused_in_one_line() -> None:

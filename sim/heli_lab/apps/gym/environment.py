@@ -65,7 +65,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
     Raises
     ------
     LearningError
-        When an option is unknown.
+        When an option is unknown, or a setpoint is beyond a stop of the elevation.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  as Gymnasium declares it
@@ -81,6 +81,16 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         if through not in ("plant", "board"):
             raise LearningError(f"through='{through}' is unknown", "give 'plant' or 'board'")
         self.domain = domain if domain is not None else Domain(tolerances=1.0)
+        stops_deg = [
+            abs(load_rig(rig)[stop].value)
+            for rig in self.domain.rigs
+            for stop in ("elevation_min", "elevation_max")
+        ]
+        if not 0.0 <= setpoint_deg < min(stops_deg):
+            raise LearningError(
+                f"setpoint_deg={setpoint_deg} is beyond a stop of the elevation",
+                f"give a number from 0 to less than {min(stops_deg):g}",
+            )
         self.render_mode = render_mode
         self.observation_space = gymnasium.spaces.Box(
             -_OBSERVATION_LIMITS.astype(np.float32), _OBSERVATION_LIMITS.astype(np.float32), dtype=np.float32
@@ -149,11 +159,14 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         Raises
         ------
         LearningError
-            When the episode has ended, or none has begun.
+            When the episode has ended, none has begun, or the action is not two numbers.
         """
         if self._has_ended:
             raise LearningError("the episode has ended", "call reset() first")
-        clipped_action = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        volts_action = np.asarray(action, np.float64)
+        if volts_action.shape != (2,) or np.isnan(volts_action).any():
+            raise LearningError(f"the action {action} is not two numbers", "check the policy")
+        clipped_action = np.clip(volts_action, -1.0, 1.0)
         volts_V = np.maximum(self.hover_V + AUTHORITY_V * clipped_action, 0.0)
         result = self._simulator.step(volts_V, round(ACTION_STEP_s * 1e3))
         observation = self._observation(result.angles_rad, clipped_action)
