@@ -346,9 +346,9 @@ class ForwardSelection:
                 screening, self.acceptance.worth_a_refit, screening.effects(compatible)
             )
             splines = screening.splines(number)
-            is_full = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
+            is_last = len(hypothesis.candidates) >= thresholds.MAX_CAUSES or not self.progress.refits_left()
             absent_terms = (
-                [] if is_full else tightly_specified_terms(self.comparison, self.removable, screening)
+                [] if is_last else tightly_specified_terms(self.comparison, self.removable, screening)
             )
             screening.release()
             round_refits = RoundRefits(
@@ -361,7 +361,7 @@ class ForwardSelection:
                 tried_ids=set(self.excluded_ids),
             )
             accepted = None
-            if not is_full:
+            if not is_last:
                 round_refits.refit_effects(screening)
                 better_base = round_refits.better_base()
                 if better_base is not None:
@@ -374,7 +374,7 @@ class ForwardSelection:
             accepted_id = accepted.candidate.id if accepted else ""
             self.rounds.append(Round(hypothesis, tuple(screened), tuple(splines), tuple(refits), accepted_id))
             if accepted is None:
-                return Selection(hypothesis, screening, not is_full and self.progress.refits_left())
+                return Selection(hypothesis, screening, not is_last and self.progress.refits_left())
             self.progress.accepted += 1
             hypothesis = accepted.hypothesis
 

@@ -148,7 +148,7 @@ class RefittedEquation:
     """Inner parameters at fixed values, by name without the effect's prefix."""
 
     @property
-    def margin(self) -> float:
+    def penalised_nats(self) -> float:
         """Log-likelihood less the penalty, nats."""
         return self.hypothesis.log_likelihood - self.penalty
 
@@ -248,8 +248,8 @@ class EquationRefits:
     def simplified(self, best: RefittedEquation, signals: TermSignals) -> RefittedEquation:
         """Simplify the equation `best` as far as the likelihood allows."""
         # Periods per turn become whole numbers. Then the term with the least significant coefficient is
-        # removed, until all coefficients are significant or the margin would fall. `signals` has the terms of
-        # the equation along the flights.
+        # removed, until all coefficients are significant or the likelihood less the penalty would fall.
+        # `signals` has the terms of the equation along the flights.
         best = self.with_whole_periods(best, signals)
         while len(best.equation.terms) > 1:
             coefficients = [best.estimates[name] for name in best.equation.coefficient_names]
@@ -259,7 +259,7 @@ class EquationRefits:
             if abs(value) > SIGNIFICANT_STD_ERRORS * std:
                 break  # all coefficients are significant
             shorter = self._refit_without_term(best, weakest, signals)
-            if shorter.margin <= best.margin:
+            if shorter.penalised_nats <= best.penalised_nats:
                 break
             best = self.with_whole_periods(shorter, signals)
         return best
@@ -290,7 +290,7 @@ class EquationRefits:
         hypothesis = self.refit(refitted.equation, signals, start, self.base, held)
         penalty = refitted.penalty - 0.5 * len(whole_periods) * math.log(self.comparison.rows)
         restricted = RefittedEquation(refitted.equation, hypothesis, penalty, refitted.group, held)
-        return restricted if restricted.margin > refitted.margin - MIN_MARGIN else refitted
+        return restricted if restricted.penalised_nats > refitted.penalised_nats - MIN_MARGIN else refitted
 
     @staticmethod
     def _nearly_whole_periods(refitted: RefittedEquation) -> dict[str, float]:
@@ -545,9 +545,9 @@ class EquationSearch:
             if gain >= SHORTLIST_SHARE * scored_group.log_likelihood_gain:
                 confirmed_scores += 1
             margin_by_group[scored_group.group.key] = gain - (refit.penalty - current_penalty)
-            if best is None or refit.margin > best.margin:
+            if best is None or refit.penalised_nats > best.penalised_nats:
                 best = refit
-        if best is None or best.margin - (warm_start.log_likelihood - current_penalty) <= MIN_MARGIN:
+        if best is None or best.penalised_nats - (warm_start.log_likelihood - current_penalty) <= MIN_MARGIN:
             return None
         best_margin = margin_by_group.pop(best.group.key)
         self.rivals |= {key: best_margin - margin for key, margin in margin_by_group.items()}

@@ -115,9 +115,9 @@ def make_grid(
     averages_voltages = every > 1 or record.advance_rows > 0.0
     if dead_zone_V is not None and averages_voltages:
         # A raised voltage is the dead zone itself, so that its derivative to the dead zone is 1.
-        is_raised = record.over_rows((volts_V < dead_zone_V).astype(float))
+        raised_share = record.over_rows((volts_V < dead_zone_V).astype(float))
         volts_V = np.maximum(volts_V, dead_zone_V)
-        of_mean, of_change = _mean_and_change(is_raised, record.step_s, rows, every, delay_s)
+        of_mean, of_change = _mean_and_change(raised_share, record.step_s, rows, every, delay_s)
         derivatives.append(VoltageDerivative("dead_zone", of_mean, of_change))
     volts_V = record.over_rows(volts_V)
     mean_V, change_V = _mean_and_change(volts_V, record.step_s, rows, every, delay_s)
