@@ -15,7 +15,7 @@ from heli_lab.setup.guess import Guess
 from heli_lab.setup.guess.columns import ColumnOptions, column_options, prepare_file
 from heli_lab.setup.guess.motion import reference_of
 from heli_lab.setup.guess.names import AXES, PAIR
-from heli_lab.setup.guess.propose import propose
+from heli_lab.setup.guess.propose import guess_by_rigs, propose
 from heli_lab.setup.guess.result import NOTHING_KNOWN, KnownEntries, read_known
 from heli_sim.rig import load_rig
 
@@ -462,3 +462,10 @@ def test_a_file_without_voltages_is_refused_with_the_reason() -> None:
     few = {name: table.columns[name] for name in ("t", "pitch", "travel", "front")}
     with pytest.raises(FlightDataError, match=r"the only angles are pitch \(pitch\) and travel \(travel\)"):
         proposed(replace(table, columns=few))
+
+
+@pytest.mark.parametrize("role", ["pitch", "front", "time"])
+def test_a_stated_column_that_no_file_has_is_named(role: str) -> None:
+    known = KnownEntries({role: {"column": "pich"}}, "mine.toml")
+    with pytest.raises(FlightDataError, match="unknown column 'pich'"):
+        guess_by_rigs([flight_table()], RIG, known=known)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from heli_lab.apps.paper.lumped import Coefficients, LumpedModel, analytic
 from heli_sim.model import Model, MultibodyModel, PaperModel, PaperPrintedModel
-from heli_sim.model.effects import RotorLag
+from heli_sim.model.effects import RotorLag, parse_effects
 from heli_sim.model.latex import Equation, equations, symbol
 from heli_sim.rig import load_rig
 
@@ -193,3 +193,11 @@ def test_every_line_can_be_drawn_and_none_is_a_wall(model: Model) -> None:
         width = parser.parse(f"${equation.text}$", dpi=72)[0]
         # At 12 points a wide page holds about 800; the longest line is M_psi_psi.
         assert 0.0 < width < 1700.0, equation.text
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(("effect", "lines"), [("rotor_reaction_torque", 2), ("gyroscopic_torque", 3)])
+def test_a_torque_of_the_thrust_has_its_lines(effect: str, lines: int) -> None:
+    written = equations(MultibodyModel(parse_effects([effect])))
+    of_effect = [each for each in written if effect.replace("_", r"\_") in each.left]
+    assert len(of_effect) == lines and all("F_{f}" in each.text for each in of_effect)

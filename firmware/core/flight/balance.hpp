@@ -56,7 +56,7 @@ class Balance {
               const BalanceLimits& limits);
   // How far the axis must have moved since it last counted, as `expected_motion_max`.
   Quantity expected_motion() const { return control::magnitude(expected_motion_); }
-  // Whether moved_max follows from the rate at which it last moved.
+  // Whether expected_motion() follows from the rate at which it last moved.
   bool is_coasting() const { return coasting_; }
   // The last drive beyond the range that may hold the axis.
   Quantity excess_drive() const { return excess_drive_; }

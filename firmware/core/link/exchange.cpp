@@ -30,6 +30,8 @@ void Dispatcher::remote(MessageId id, const std::uint8_t* payload, std::uint8_t 
   busy_ = mailbox_.post(pending_);
 }
 
+// First retries a streamed value that found the queue full. A stop that waits counts as a request
+// seen.
 bool Dispatcher::collect(std::uint32_t tick) {
   pass_stream();
   Reply reply;

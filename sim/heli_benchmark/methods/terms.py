@@ -254,7 +254,8 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     smooth = [SmoothedFlight(flight, weak_form) for flight in case.training]
     nominal = AccelerationModel(MultibodyModel(), rig)
     nuisance_names = [name for name in nominal.names if name in rig and rig[name].tolerance]
-    # Measured minus nominal accelerations, shape (k, 3).
+    # For least squares: target, nuisance and terms. The target is the measured minus the nominal
+    # accelerations, shape (k, 3); a tolerance is two standard deviations.
     target = np.concatenate(
         [motion.acceleration - motion.filtered(nominal.acceleration(motion)) for motion in smooth]
     )
@@ -278,6 +279,7 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
         return np.asarray((scaled[1:] - correlation * scaled[:-1]).reshape(-1, *values.shape[2:]))
 
     terms = [replace(term, columns=white(term.columns)) for term in drafts]
+    # For learned methods: residuals and features with a standard deviation of 1.
     features = np.concatenate([motion.features for motion in smooth])
     scales = Standardisation(fitted.std(axis=0), features.mean(axis=0), features.std(axis=0))
     features = (features - scales.feature_mean) / scales.feature_std

@@ -150,7 +150,8 @@ def influences(
     # The model with all causes is compared with the refitted model without the cause, on the axis where they
     # differ most. The change is the root mean square difference of their predictions on the fitted flights.
     # If the model without the cause adds a larger error on the held-out flights, the change is that error.
-    # Without a change, every significant cause matters: so above `DISTURBED_STD`, and with much evidence.
+    # A cause without an entry counts as one that matters: all of them if the residual exceeds
+    # `DISTURBED_STD`, and each with much evidence.
     if not extended.candidates or after.train.total > DISTURBED_STD:
         return {}
     samples_with_all = normalised_samples(after.fit)

@@ -374,8 +374,8 @@ class ListedEffects:
         confirmed_scores = 0
         for effect, start, score_nats in self._possible_effects(equation, warm_start):
             complexity_penalty = self.complexity_penalty(effect)
-            # Scores fall: no later effect can be good enough, or enough refits have confirmed their score.
-            # Effects without a score come first and are always refitted.
+            # Scores fall: no later effect can be good enough, or enough refits have confirmed their score,
+            # that is, gained a share of it. Effects without a score come first and are always refitted.
             if score_nats is not None and (
                 confirmed_scores >= SHORTLIST
                 or EXPECTED_REFIT_GAIN * score_nats <= complexity_penalty + MIN_MARGIN
@@ -389,6 +389,7 @@ class ListedEffects:
                 and not self.encompasses(warm_start, rival, effect, penalty)
             ):
                 return effect.id
+            # A score has no penalty either.
             gain = penalised_nats + complexity_penalty - self.base.log_likelihood
             confirmed_scores += score_nats is not None and gain >= SHORTLIST_SHARE * score_nats
         return None
@@ -528,7 +529,8 @@ class EquationSearch:
     ) -> RefittedEquation | None:
         """Refit the current equation with each finalist; return the refit of the largest margin."""
         # The result is None if its margin does not exceed that of the current equation by `MIN_MARGIN`. The
-        # lead over each other finalist is stored in `rivals`.
+        # lead over each other finalist is stored in `rivals`. A score is confirmed if the refit gains a share
+        # of it; the search stops after `EQUATION_FINALISTS` confirmed ones to save time.
         best: RefittedEquation | None = None
         margin_by_group = dict[str, float]()
         confirmed_scores = 0

@@ -228,6 +228,9 @@ class InnovationsModel:
         ndarray (m b, s)
             For each flight, one row per output and block, one column per addition.
         """
+        # `part_input` is the response at a block's end to 1 in each of its steps; its first inputs are the
+        # disturbances of the outputs. A regressor is a reduction of the innovation, hence the minus. Nothing
+        # is propagated over the steps, hence the cost.
         for linearised, added in zip(self.linearised_flights, values, strict=True):
             windows = []
             for blocks in linearised.blocks:

@@ -87,12 +87,13 @@ def equations(model: Model) -> list[Equation]:
         result += _acceleration_equations(model.acceleration(at, F, torque), writer)
     acceleration_without_friction = ca.vertcat(*(ca.SX.sym(rf"\ddot{{{angle}}}_{{0}}") for angle in _ANGLES))
     inertia = ca.vertcat(*(ca.SX.sym(f"J_{{{angle}}}") for angle in _ANGLES))
+    flying = replace(at, thrust_N=F)
     for effect in model.effects:
-        added = effect.torque_Nm(at) + effect.friction_Nm(at, acceleration_without_friction, inertia)
+        added = effect.torque_Nm(flying) + effect.friction_Nm(flying, acceleration_without_friction, inertia)
         result += _effect_terms(effect.name, added, effect.thrust_N(at, F), F, writer)
         if effect.states:
             left_sides = [rf"\dot{{{symbol(state.name)}}}" for state in effect.states]
-            result += writer.equations_of(left_sides, effect.state_rates(replace(at, thrust_N=F)))
+            result += writer.equations_of(left_sides, effect.state_rates(flying))
     return result
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -592,12 +592,16 @@ def _values_of_column(table: Table, name: str) -> Floats:
             "write its numbers in one notation",
         )
     if name not in table.columns:
-        close = difflib.get_close_matches(name, table.columns, n=1)
-        hint = f"did you mean '{close[0]}'? " if close else ""
-        raise FlightDataError(
-            f"{table.source}: unknown column '{name}'", f"{hint}it has {', '.join(list(table.columns)[:12])}"
-        )
+        raise unknown_column(table.source, name, table.columns)
     return table.columns[name].values
+
+
+def unknown_column(source: str, name: str, columns: Iterable[str]) -> FlightDataError:
+    """Return the error of a column that is not among those of a file; it suggests a name that is similar."""
+    names = list(columns)
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean '{close[0]}'? " if close else ""
+    return FlightDataError(f"{source}: unknown column '{name}'", f"{hint}it has {', '.join(names[:12])}")
 
 
 def _angle_rad_of(table: Table, angle: Angle, t_s: Floats, turns_freely: bool) -> Floats:

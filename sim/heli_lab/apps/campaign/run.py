@@ -132,9 +132,13 @@ def _run(
     is_repeated: Callable[[JobResult], bool] | None,
 ) -> Generator[CampaignProgress, None, None]:
     """Run the cases without a result, add the row of each case to `rows`, and yield the progress."""
-    digest = _code_digest_of(campaign) if code is None else code
-    # Even if results do not depend on the installed code, all workers need the same packages.
-    work_functions, worker_code = (campaign.work_functions, digest) if code is None else ((), code_digest())
+    # `digest` is part of the keys of stored results; `worker_code` is the code that all workers must have.
+    if code is None:
+        digest = worker_code = _code_digest_of(campaign)
+        work_functions = campaign.work_functions
+    else:
+        # Results do not depend on the code of the functions, but all workers need the same packages.
+        digest, worker_code, work_functions = code, code_digest(), ()
     cases = {case.key(digest): case for case in campaign.cases}
     with store.locked():
         stored = store.read(cases)

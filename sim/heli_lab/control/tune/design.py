@@ -248,7 +248,8 @@ def _design_tilt(rig: Rig, plants: Sequence[LinearPlant], spread: Spread, sensit
     arrival_row = round(2.0 * np.sqrt(TRAVEL_STEP_DEG / acceleration_deg_s2) / SIMULATION_STEP_s)
     travel_step = TravelStep(plants, pitch_hold, path, arrival_row, constant_loads_deg_s2(rig, spread))
     differential_max_V = _largest_differential_V(rig, nominal.hover_V)
-    # With unit gains, the loops are the responses of pitch and travel to the differential.
+    # With unit gains, the loops are the responses of pitch and travel to the differential. The loop
+    # "differential" is their sum; the loop "travel" would have the pitch loop closed inside it.
     unit_gains = CascadeGains(_NO_GAIN, _UNIT_GAIN, _UNIT_GAIN)
     plant_responses = [loops.open_loops(plant, unit_gains) for plant in plants]
     to_pitch = np.array([response["pitch"] for response in plant_responses])

@@ -363,9 +363,10 @@ class Margin:
 
 def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
     """Return the state matrix (6, 6) of the closed elevation loop, for a setpoint of zero."""
-    # The states are the plant's three, two of the rate filter, and the integral of minus the elevation.
+    # The states are the plant's three (elevation, rate, thrust), two of the rate filter, and the integral of
+    # minus the elevation.
     closed = _with_rate_filters(plant.elevation_A, (0,), (pid,))
-    output = _controller_output_row(closed.shape[0], 0, 3, pid)
+    output = _controller_output_row(closed.shape[0], angle=0, first=3, pid=pid)
     output[5] = pid.ki
     closed[5, 0] = -1.0
     closed[:3] += np.outer(plant.elevation_B, output)
@@ -537,7 +538,7 @@ def _controller_output_row(size: int, angle: int, first: int, pid: Pid) -> Float
 
 def _pitch_error_row(travel: Pid) -> Floats:
     """Return the row from the states to the pitch error; the travel loop gives the pitch setpoint."""
-    row = _controller_output_row(TILT_STATES, 1, TRAVEL_FILTER, travel)
+    row = _controller_output_row(TILT_STATES, angle=1, first=TRAVEL_FILTER, pid=travel)
     row[TRAVEL_INTEGRAL] = travel.ki
     row[0] -= 1.0
     return row

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from heli_host.data.tables import Angle, Profile, Table, Voltage, flights_of, profile_text
+from heli_host.data.tables.convert import unknown_column
 from heli_host.data.tables.table import COUNT, SHARED_TIME, SHARES, TIME_UNITS, split_unit
 from heli_host.errors import FlightDataError, HeliError
 from heli_sim.rig import Rig, load_rig, rig_names
@@ -132,6 +133,15 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
     return check_by_simulation(propose([table], rig, rate_Hz), rig)[0]
 
 
+def _refuse_unknown_columns(tables: Sequence[Table], known: KnownEntries) -> None:
+    """Refuse known entries with a column that none of the files has."""
+    columns = [name for table in tables for name in (*table.columns, *table.unread)]
+    time_column = known.entries.get("time", {}).get("column")
+    for name in (*known.columns, *([str(time_column)] if time_column is not None else [])):
+        if name not in columns:
+            raise unknown_column(tables[0].source, name, columns)
+
+
 def guess_by_rigs(
     tables: Sequence[Table],
     rig: Rig | None = None,
@@ -162,6 +172,7 @@ def guess_by_rigs(
     FlightDataError
         When a table cannot be interpreted with any rig.
     """
+    _refuse_unknown_columns(tables, known)
     rigs = {name: load_rig(name) for name in rig_names() if rig is None or name != rig.name}
     if rig is not None:
         rigs[rig.name] = rig

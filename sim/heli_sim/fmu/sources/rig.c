@@ -101,6 +101,8 @@ static bool touches(const RigState* rig) {
     return false;
 }
 
+// Applies what changes at the end of a sampled millisecond (stops, effects with jumps, random state),
+// then shifts the delayed voltages by one.
 static void end_step(RigState* rig) {
     const double turned = rig->turning ? turned_s(rig) : 0.0;
     double chance = MODEL_RANDOM ? rig->whole[MODEL_STATES + MODEL_TIMED] : 0.0;
