@@ -55,9 +55,10 @@ def entry(name: str, value: float, unit: str = "count", tolerance: float = 0.0) 
     ("entries", "counts"),
     [
         (entry("encoder_counts", 2000.0), (2000.0, 2000.0, 2000.0)),
+        (entry("encoder_counts", 4096.0) + entry("encoder_travel_ratio", 2.0, "1"), (4096.0, 4096.0, 8192.0)),
         (entry("encoder_counts", 4096.0) + entry("encoder_counts_pitch", 1000.0), (4096.0, 1000.0, 4096.0)),
     ],
-    ids=["one number", "one number and an exception"],
+    ids=["one number", "one number and a ratio", "one number and an exception"],
 )
 def test_a_file_with_one_number_for_all_encoders_is_read(
     tmp_path: Path, entries: str, counts: tuple[float, ...]
@@ -76,7 +77,8 @@ def test_a_file_with_one_number_for_all_encoders_is_read(
         (entry("encoder_counts_pitch", 1000.0), "lacks encoder_counts_elevation, encoder_counts_travel"),
         (entry("encoder_counts", 0.0), "encoder_counts_elevation must not be 0"),
         (entry("encoder_counts", -4096.0), "encoder_counts_elevation = -4096.0 must not be negative"),
-        (entry("encoder_ratio", 2.0, "1"), "has no parameter 'encoder_ratio'"),
+        (entry("encoder_counts", 4096.0) + entry("encoder_travel_ratio", 2.0), "give it in '1'"),
+        (entry("encoder_travel_ratio", 2.0, "1"), "has no parameter 'encoder_travel_ratio'"),
         (
             entry("encoder_counts", 4096.0) + entry("encoder_direction_pitch", 0.5, "1"),
             "encoder_direction_pitch = 0.5 is not a direction; give 1, -1, or 0",

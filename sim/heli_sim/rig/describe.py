@@ -63,7 +63,7 @@ def described(name: str, description: str, like: Rig, given: Mapping[str, Number
     `like`.
     """
     numbers = {}
-    given = counts_by_encoder(given)
+    given = counts_by_encoder(name, given)
     for quantity, like_number in like.items():
         if quantity in given:
             numbers[quantity] = given[quantity]

@@ -22,6 +22,7 @@ from heli_sim.rig.schema import (
     ENCODER_DIRECTIONS,
     RIG_QUANTITIES,
     STATED_INERTIAS,
+    TRAVEL_RATIO,
     UNSTATED,
     check_size,
     inertia_range_kg_m2,
@@ -109,7 +110,7 @@ class Rig(Mapping[str, Number]):
     model: str = ""
 
     def __post_init__(self) -> None:
-        numbers = counts_by_encoder(self.numbers)
+        numbers = counts_by_encoder(self.name, self.numbers)
         for name, unstated in UNSTATED.items():
             unit = next(quantity.unit for quantity in RIG_QUANTITIES if quantity.name == name)
             numbers.setdefault(name, Number(unstated.value, unit, unstated.tolerance, unstated.source))
@@ -161,13 +162,24 @@ class Rig(Mapping[str, Number]):
         return replace(self, numbers=numbers)
 
 
-def counts_by_encoder(numbers: Mapping[str, Number]) -> dict[str, Number]:
-    """Write the short form `encoder_counts` as one entry per encoder."""
+def counts_by_encoder(rig: str, numbers: Mapping[str, Number]) -> dict[str, Number]:
+    """Write the short form `encoder_counts`, and the ratio of older files, as one entry per encoder."""
     numbers = dict(numbers)
-    if COMMON_COUNTS.name in numbers:
-        common = numbers.pop(COMMON_COUNTS.name)
-        for name in ENCODER_COUNTS:
-            numbers.setdefault(name, common)
+    if COMMON_COUNTS.name not in numbers:
+        return numbers
+    common, ratio = numbers.pop(COMMON_COUNTS.name), numbers.pop(TRAVEL_RATIO.name, None)
+    for name in ENCODER_COUNTS:
+        numbers.setdefault(name, common)
+    if ratio is not None:
+        if ratio.unit != TRAVEL_RATIO.unit:
+            raise RigError(
+                f"rig '{rig}': {TRAVEL_RATIO.name} is in '{ratio.unit}'", f"give it in '{TRAVEL_RATIO.unit}'"
+            )
+        travel = ENCODER_COUNTS[-1]
+        if numbers[travel] is common:
+            numbers[travel] = replace(
+                common, value=common.value * ratio.value, source=f"{common.source}; {ratio.source}"
+            )
     return numbers
 
 

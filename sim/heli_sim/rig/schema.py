@@ -136,7 +136,10 @@ ENCODER_DIRECTIONS: Final = (
 COMMON_COUNTS: Final = Quantity(
     "encoder_counts", "count", "counts of each encoder that has no entry of its own, for one revolution, x4"
 )
-"""Short form of `ENCODER_COUNTS`: `load_rig` writes it out per encoder."""
+"""Short form of `ENCODER_COUNTS`, which older rig files use too: `load_rig` writes it out per encoder."""
+TRAVEL_RATIO: Final = Quantity(
+    "encoder_travel_ratio", "1", "older rig files only: counts of the travel's encoder over encoder_counts"
+)
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
@@ -90,13 +92,15 @@ class Target:
 
 def _digest_in(path: Path) -> str | None:
     """Read the digest of its source from an imported flight at `path`."""
-    if not path.exists():
-        return None
     try:
-        notes = notes_path(path).read_text(encoding="utf-8", errors="replace")
+        # Tables of older versions hold their notes in their first lines.
+        with path.open(encoding="utf-8", errors="replace") as file:
+            lines = list(takewhile(lambda line: line.startswith("#"), file))
+        with contextlib.suppress(FileNotFoundError):
+            lines += notes_path(path).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        return ""
-    for line in notes.splitlines():
+        return None
+    for line in lines:
         key, _, value = line.lstrip("# ").partition(":")
         if key.strip() == _DIGEST_NOTE:
             return value.strip()
