@@ -9,7 +9,7 @@ from heli_host.data.flight import Flight
 from heli_host.fly.plan import Plan
 from heli_sim.model import MultibodyModel
 from heli_sim.model.effect import Effect, Operands
-from heli_sim.model.effects import catalogue, parse_effects
+from heli_sim.model.effects import parse_effects
 from heli_sim.rig import load_rig
 
 from tests.identify import made
@@ -22,9 +22,6 @@ from tests.running.long import LONG
 WHOLE_S = (34.0, 26.0)
 SHORT_S = WHOLE_S if LONG else (18.0, 14.0)
 MADE_BY = (Path(__file__), Path(made.__file__))
-TRIED = ("rotor_lag", "input_delay", "thrust_asymmetry", "coulomb_friction.travel", "cable_spring.travel")
-FEW_KINDS = {id_: kind for id_, kind in catalogue().items() if id_ in TRIED}
-"""A catalogue for tests whose claim does not depend on how many effects are tried."""
 
 
 @dataclass(frozen=True)

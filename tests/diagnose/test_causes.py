@@ -30,10 +30,10 @@ from heli_lab.report.diagnosis.text import cautions, title
 from heli_lab.report.identification_page import identification_figure
 from heli_sim.evaluate.trajectories import AlongTrajectory, Trajectory
 from heli_sim.model import MultibodyModel
-from heli_sim.model.effects import effects_of
+from heli_sim.model.effects import catalogue, effects_of
 from heli_sim.rig import load_rig, write_rig
 
-from tests.diagnose.hidden import FEW_KINDS, MADE_BY, SHORT_S, flights
+from tests.diagnose.hidden import MADE_BY, SHORT_S, flights
 from tests.diagnose.schema import conforms
 from tests.running.kept import KEPT
 from tests.running.long import samples
@@ -53,6 +53,10 @@ def diagnosed(*effects: str, unlisted: bool = False) -> Diagnosis:
         ),
         made_by=MADE_BY,
     )
+
+
+TRIED = ("rotor_lag", "input_delay", "thrust_asymmetry", "coulomb_friction.travel", "cable_spring.travel")
+FEW_KINDS = {id_: kind for id_, kind in catalogue().items() if id_ in TRIED}
 
 
 def briefly_diagnose(*effects: str, **options: Any) -> Diagnosis:

@@ -27,7 +27,6 @@ from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.transport import SilProcess
 
 from tests.cli.terminal import Terminal
-from tests.diagnose.hidden import FEW_KINDS
 from tests.identify.made import flown, thinned
 
 ODD = {"encoder_counts_pitch": 1000.0, "encoder_direction_elevation": -1.0, "encoder_direction_pitch": 1.0}
@@ -210,7 +209,7 @@ def test_such_a_rig_is_tuned_and_its_gains_keep_the_signs() -> None:
 @pytest.mark.diagnosis
 def test_the_cause_is_found_on_such_a_rig() -> None:
     fit, held_out = odd_flights()
-    diagnosis = diagnose(MultibodyModel(), odd_rig(), [fit], [held_out], kinds=FEW_KINDS)
+    diagnosis = diagnose(MultibodyModel(), odd_rig(), [fit], [held_out])
     (cause,) = diagnosis.verdict.causes
     assert cause.effect == "rotor_lag"
     assert cause.parameters["rotor_lag_s"].value == pytest.approx(0.08, abs=0.01)
