@@ -9,8 +9,8 @@ from pathlib import Path
 
 Import("env", "projenv")  # type: ignore[name-defined]  # noqa: F821 - SCons puts these names here
 
-build = env  # type: ignore[name-defined]  # noqa: F821
-project = projenv  # type: ignore[name-defined]  # noqa: F821
+build = env  # type: ignore[name-defined]  # noqa: F821 - the same
+project = projenv  # type: ignore[name-defined]  # noqa: F821 - the same
 
 FIRMWARE = Path(build.subst("$PROJECT_DIR")) / "firmware"
 BUILD = Path(build.subst("$BUILD_DIR"))

@@ -160,12 +160,15 @@ def model_of(
     return model_named(model or rig.model or DEFAULT_MODEL, effects_with(rig, effects, effect_files))
 
 
-def input_lines(inputs: FitInputs, rig: str) -> tuple[str, str]:
+def input_lines(inputs: FitInputs) -> tuple[str, str]:
     """State which rig and which model a fit uses: the default may be another rig than the one that flew."""
-    source = " (the default of --rig)" if rig == DEFAULT_RIG else ""
-    name = f" ({inputs.rig.name})" if rig != inputs.rig.name else ""
+    source = " (the default of --rig)" if inputs.rig_file == DEFAULT_RIG else ""
+    name = f" ({inputs.rig.name})" if inputs.rig_file != inputs.rig.name else ""
     effects = ", ".join(effect.name for effect in inputs.model.effects)
-    return f"rig: {rig}{name}{source}", f"model: {inputs.model.name}{f' with {effects}' if effects else ''}"
+    return (
+        f"rig: {inputs.rig_file}{name}{source}",
+        f"model: {inputs.model.name}{f' with {effects}' if effects else ''}",
+    )
 
 
 def other_rig_notes(rig: Rig, rig_file: str, flown_rigs: Mapping[str, str]) -> list[str]:

@@ -99,7 +99,7 @@ def identify(
     data_on_stdout(json)
     check_result_places(save_rig, json, report=report)
     inputs = fit_inputs(flights, validation_paths, rig, model, effect_file or (), effect or ())
-    say(*input_lines(inputs, rig))
+    say(*input_lines(inputs))
     use_process = report is not None and default_thread_count() > 1
     with WorkBar() as bar, Drawing(use_process, option.vector_of_report(vector, report)) as drawing:
         spans = parts(start_s or (), stop_s or (), len(flights), len(validation_paths))
@@ -266,7 +266,7 @@ def diagnose(
     data_on_stdout(json)
     check_result_places(save_rig, json, resume, report=report)
     inputs = fit_inputs(flights, validation_paths, rig, model, effect_file or ())
-    say(*input_lines(inputs, rig))
+    say(*input_lines(inputs))
     kinds = catalogue(effect_file or ())
     result: Diagnosis | InsufficientExcitation
     output_files: list[Path | None] = []

@@ -57,9 +57,8 @@ def pool(
     say(*_population_lines(population))
     if save_rig is not None:
         type_rig = load_rig(rig or population.diagnoses[0].rig)
-        comment = ". ".join(
-            (f"Pooled by heli-host pool from {len(population.diagnoses)} rigs", *population.cautions, "")
-        ).strip()
+        comment = f"Pooled by heli-host pool from {len(population.diagnoses)} rigs."
+        comment = "\n".join((comment, *population.cautions))
         write_rig(population.prior_rig(type_rig, save_rig.stem), save_rig, comment)
     content = {
         "cautions": list(population.cautions),

@@ -75,8 +75,6 @@ _MOVING_STEPS: Final = 8
 _MOVING_ROWS: Final = 0.75
 """Changes of an angle in `_STAND_S` from which on the arm moves, at most this share of the rows. A simulated
 hover without disturbances has up to 4."""
-STANDING: Final = "in which angles stand still although the motors work"
-"""Reason for which rows are left out that a failed link repeats."""
 _COUNT_SHARE: Final = 0.05
 """Share of the steps of an angle with the same size from which on it is a count of the encoder."""
 _OFF_TABLE_DEG: Final = 2.0
@@ -485,7 +483,8 @@ def _standing_change(t_s: Floats, stands: Booleans) -> RowChange:
     return RowChange(
         "left out",
         int(stands.sum()),
-        f"{STANDING} ({', '.join(spans[:4])}{more})",
+        f"in which angles stand still although the motors work ({', '.join(spans[:4])}{more})",
+        is_standing=True,
     )
 
 

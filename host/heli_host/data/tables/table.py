@@ -55,6 +55,7 @@ class RowChange:
     rows: int
     """Rows that were changed; of `resampled`, the number of rows after it minus the number before it."""
     reason: str  # Reads on after the number of rows, as in "12 rows ..."
+    is_standing: bool = False  # Whether a failed link seems to repeat the angles of these rows
 
     @property
     def added(self) -> int:

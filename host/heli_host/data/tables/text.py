@@ -13,10 +13,10 @@ import re
 import statistics
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -429,28 +429,29 @@ def _without_kinds(path: Path, lines: list[str], notes: list[str]) -> list[str]:
     dialect = find_dialect([match[2] for match in matches[:: max(1, len(lines) // _LOOKED_AT)] if match])
     if dialect is None:
         return lines
-    parts = [(match[1], _split_cells(match[2], dialect)) for match in matches if match]
-    values = [
-        (kind, cells)
-        for kind, cells in parts
-        if _is_value(cells[0], dialect) and all(_is_number(cell, dialect) or not cell for cell in cells[1:])
+    parts = [_KindOfLine(match[1], _split_cells(match[2], dialect)) for match in matches if match]
+    messages = [
+        part
+        for part in parts
+        if _is_value(part.cells[0], dialect)
+        and all(_is_number(cell, dialect) or not cell for cell in part.cells[1:])
     ]
-    counts = Counter((kind, len(cells)) for kind, cells in values)
+    counts = Counter((message.kind, len(message.cells)) for message in messages)
     widths = {
         kind: width for (kind, width), count in counts.items() if count >= _MIN_NAMES_SHARE * len(lines)
     }
-    values = [(kind, cells) for kind, cells in values if widths.get(kind) == len(cells)]
-    changes = sum(kind != other for (kind, _), (other, _) in itertools.pairwise(values))
+    messages = [message for message in messages if widths.get(message.kind) == len(message.cells)]
+    changes = sum(message.kind != other.kind for message, other in itertools.pairwise(messages))
     if (
         not 1 < len(widths) <= _MAX_SIGNALS
-        or len(values) < _LABEL_SHARE * len(lines)
-        or changes < _MIN_CHANGES * len(values)
+        or len(messages) < _LABEL_SHARE * len(lines)
+        or changes < _MIN_CHANGES * len(messages)
         or max(widths.values()) < _MIN_NAMED
         # A name above the kinds: they are a column of a table.
-        or any(kind not in widths and {len(cells)} == set(widths.values()) for kind, cells in parts[:1])
+        or any(part.kind not in widths and {len(part.cells)} == set(widths.values()) for part in parts[:1])
     ):
         return lines
-    first = pandas.Series([cells[0].replace(dialect.decimal, ".") for _, cells in values])
+    first = pandas.Series([message.cells[0].replace(dialect.decimal, ".") for message in messages])
     numbers: Floats = pandas.to_numeric(first, errors="coerce").to_numpy(np.float64)
     times = numbers if np.isfinite(numbers).any() else seconds_of(first)
     if (
@@ -463,14 +464,9 @@ def _without_kinds(path: Path, lines: list[str], notes: list[str]) -> list[str]:
             "that all share",
             "log all values in one line, or begin each line with its kind and the time",
         )
-    texts = [_KIND.match(note) for note in notes]
-    texts += [match for match in matches if match]
-    named = {match[1]: _split_cells(match[2], dialect) for match in reversed(texts) if match}
-    names: dict[str, list[str]] = {}
-    for kind, width in widths.items():
-        words = named.get(kind, [])
-        has_names = len(words) == width and not any(_is_number(word, dialect) for word in words)
-        names[kind] = words if has_names else [f"{kind} {number}" for number in range(1, width + 1)]
+    in_notes = [match for match in map(_KIND.match, notes) if match]
+    headers = [_KindOfLine(match[1], _split_cells(match[2], dialect)) for match in in_notes] + parts
+    names = _names_by_kind(headers, widths, dialect)
     shared = Counter(itertools.chain(*(each[1:] for each in names.values())))
     order = {
         (kind, place): name if shared[name] == 1 else f"{kind} {name}"
@@ -480,11 +476,34 @@ def _without_kinds(path: Path, lines: list[str], notes: list[str]) -> list[str]:
     }
     first_names = {each[0] for each in names.values()}
     rows = ["\t".join([first_names.pop() if len(first_names) == 1 else _STAMP_NAME, *order.values()])]
-    for kind, cells in values:
+    for kind, cells in messages:
         plain = [cell.replace(dialect.decimal, ".") for cell in cells]
         row = [(plain[place] or "nan") if kind == each else "nan" for each, place in order]
         rows.append("\t".join([plain[0], *row]))
     return rows
+
+
+class _KindOfLine(NamedTuple):
+    """A line that begins with the kind of its message, and its further cells."""
+
+    kind: str
+    cells: list[str]
+
+
+def _names_by_kind(
+    headers: Sequence[_KindOfLine], widths: Mapping[str, int], dialect: Dialect
+) -> dict[str, list[str]]:
+    """Return the names of the values of each kind, from its first line if that has words; otherwise numbers.
+
+    `widths` is the number of values of each kind.
+    """
+    first_cells = {header.kind: header.cells for header in reversed(headers)}
+    names: dict[str, list[str]] = {}
+    for kind, width in widths.items():
+        words = first_cells.get(kind, [])
+        has_names = len(words) == width and not any(_is_number(word, dialect) for word in words)
+        names[kind] = words if has_names else [f"{kind} {number}" for number in range(1, width + 1)]
+    return names
 
 
 def _names_in_row(line: str) -> tuple[str, ...]:

@@ -163,10 +163,10 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         """
         if self._has_ended:
             raise LearningError("the episode has ended", "call reset() first")
-        volts_action = np.asarray(action, np.float64)
-        if volts_action.shape != (2,) or np.isnan(volts_action).any():
+        shares = np.asarray(action, np.float64)
+        if shares.shape != (2,) or np.isnan(shares).any():
             raise LearningError(f"the action {action} is not two numbers", "check the policy")
-        clipped_action = np.clip(volts_action, -1.0, 1.0)
+        clipped_action = np.clip(shares, -1.0, 1.0)
         volts_V = np.maximum(self.hover_V + AUTHORITY_V * clipped_action, 0.0)
         result = self._simulator.step(volts_V, round(ACTION_STEP_s * 1e3))
         observation = self._observation(result.angles_rad, clipped_action)

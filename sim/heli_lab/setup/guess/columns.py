@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from heli_host.data.arrays import Floats, Integers
+from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_host.data.tables import Column, Table
 from heli_host.data.tables.convert import with_direction
 from heli_host.data.tables.rows import timed_rows, without_unread_rows
@@ -168,22 +168,20 @@ def _driven_rows(table: Table, t_s: Floats) -> tuple[Integers, tuple[float, floa
 
     Before the motors turn, the arm rests; after they stop, it falls.
     """
-    meanings = {name: meaning_of(name, column.unit) for name, column in table.columns.items()}
-    known = {
-        name: table.columns[name].values
-        for name, meaning in meanings.items()
-        if not meaning.quantity and np.isfinite(table.columns[name].values).any()
-    }
-    motors = [known[name] for name in known if set(meanings[name].possible_roles) <= set(VOLTAGE_ROLES)]
-    angles = [known[name] for name in known if meanings[name].role in AXES]
+    motors, angles = list[Floats](), list[Floats]()
+    for name, column in table.columns.items():
+        meaning = meaning_of(name, column.unit)
+        if meaning.quantity or not np.isfinite(column.values).any():
+            continue
+        if set(meaning.possible_roles) <= set(VOLTAGE_ROLES):
+            motors.append(column.values)
+        if meaning.role in AXES:
+            angles.append(column.values)
     rows = np.arange(t_s.size)
     if len(motors) < len(PAIR) or not angles:
         return rows, None
     is_first, is_last = (
-        np.logical_and.reduce(
-            [(values == values[np.isfinite(values)][end]) | np.isnan(values) for values in motors]
-        )
-        for end in (0, -1)
+        np.logical_and.reduce([_keeps_end(values, end) for values in motors]) for end in (0, -1)
     )
     if is_first.all() or is_last.all():
         return rows, None
@@ -192,15 +190,22 @@ def _driven_rows(table: Table, t_s: Floats) -> tuple[Integers, tuple[float, floa
     by_hand = [
         part
         for part in (before, after)
-        if any(
-            np.ptp(values[part & np.isfinite(values)]) > _BY_HAND_SHARE * np.ptp(values[np.isfinite(values)])
-            for values in angles
-            if (part & np.isfinite(values)).any()
-        )
+        if any(_finite_range(values[part]) > _BY_HAND_SHARE * _finite_range(values) for values in angles)
     ]
     if not by_hand:
         return rows, None
     return rows[~np.logical_or.reduce(by_hand)], (float(t_s[by_hand[0]][0]), float(t_s[by_hand[0]][-1]))
+
+
+def _keeps_end(values: Floats, end: int) -> Booleans:
+    """Whether values, shape (n,), are missing or those of their first (0) or last (-1) number."""
+    return np.asarray((values == values[np.isfinite(values)][end]) | np.isnan(values))
+
+
+def _finite_range(values: Floats) -> float:
+    """Return the range of the numbers among some values, shape (n,); 0 without a number."""
+    finite = values[np.isfinite(values)]
+    return float(np.ptp(finite)) if finite.size else 0.0
 
 
 def with_directions(table: Table) -> tuple[Table, dict[str, str]]:
@@ -259,10 +264,14 @@ class ColumnOptions:
         """Columns that may have a role."""
         return list(dict.fromkeys(name for names in self.by_role.values() for name in names))
 
+    @property
+    def left_out_text(self) -> str:
+        """The columns without a role, with their reasons, in words."""
+        return f"left out: {', '.join(f'{name} ({reason})' for name, reason in self.left_out.items())}"
+
     def too_few(self, source: str) -> FlightDataError:
         """Describe a table in which columns of some roles are missing."""
-        left_out = ", ".join(f"{name} ({reason})" for name, reason in self.left_out.items())
-        detail = f"; left out: {left_out}" if left_out else ""
+        detail = f"; {self.left_out_text}" if self.left_out else ""
         has_angles = all(self.by_role[axis] for axis in AXES)
         pulses = [name for name, reason in self.left_out.items() if reason == PULSES]
         if len(pulses) == len(PAIR) and sum(map(bool, map(self.by_role.get, VOLTAGE_ROLES))) < len(PAIR):

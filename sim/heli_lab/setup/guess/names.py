@@ -414,6 +414,11 @@ def _is_current(name: str) -> bool:
     return "i" in words and words <= {"i", "a", "ma"}
 
 
+def is_other_script(word: str) -> bool:
+    """Whether a `word` is in another script than the Latin one; Greek is the first of these in Unicode."""
+    return word[0] > "\u0370"
+
+
 def _without_accents(text: str) -> str:
     """Return a `text` in lower case with plain letters; Greek letters become their names."""
     plain = unicodedata.normalize("NFKD", text.lower().replace("ø", "o").replace("ł", "l"))
@@ -426,7 +431,7 @@ _STEMS: Final = {
     _without_accents(word): word
     for known in (*_WORDS.values(), *_OTHER_QUANTITIES.values(), _ROLLS, _MEASURED, _VOLTAGES, _TIMES)
     for word in known
-    if word[0] > "\u0370"
+    if is_other_script(word)
 }
 """Words of other scripts than the Latin one, by their plain letters: they have endings, or no spaces between
 them."""
@@ -473,7 +478,7 @@ def _stated_role(words: list[str]) -> str:
     distinctive = {
         role
         for role in stated
-        if any(word in _WORDS[role] and (len(word) > 2 or word[0] > "\u0370") for word in words)
+        if any(word in _WORDS[role] and (len(word) > 2 or is_other_script(word)) for word in words)
     }
     candidates = distinctive or stated
     # Next to another role, the letter p means something else, such as a position.

@@ -10,7 +10,7 @@ import numpy as np
 from heli_host.data.arrays import Booleans, Floats
 from heli_host.data.flight import Flight, check_flight
 from heli_host.data.tables import Column, Conversion, Profile, Table, convert
-from heli_host.data.tables.convert import STANDING, times_of
+from heli_host.data.tables.convert import times_of
 from heli_host.data.tables.rows import runs_of
 from heli_host.data.tables.table import COUNT
 from heli_host.errors import FlightDataError
@@ -114,7 +114,7 @@ def _standing_rows(conversion: Conversion) -> list[Ambiguity]:
     """Report a large part of a file that was left out because angles stand still: an arm with much friction
     does so, too.
     """
-    standing = sum(change.rows for change in conversion.changes if change.reason.startswith(STANDING))
+    standing = sum(change.rows for change in conversion.changes if change.is_standing)
     if standing <= _STANDING_SHARE * conversion.file_rows:
         return []
     return [

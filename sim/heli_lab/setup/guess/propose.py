@@ -136,8 +136,10 @@ def guess(table: Table, rig: Rig, rate_Hz: float | None = None) -> Guess:
 def _refuse_unknown_columns(tables: Sequence[Table], known: KnownEntries) -> None:
     """Refuse known entries with a column that none of the files has."""
     columns = [name for table in tables for name in (*table.columns, *table.unread)]
-    time_column = known.entries.get("time", {}).get("column")
-    for name in (*known.columns, *([str(time_column)] if time_column is not None else [])):
+    stated = list(known.columns)
+    if "column" in known.entries.get("time", {}):
+        stated.append(str(known.entries["time"]["column"]))
+    for name in stated:
         if name not in columns:
             raise unknown_column(tables[0].source, name, columns)
 
@@ -323,8 +325,7 @@ def propose(
     unknown = tuple(ambiguity for ambiguity in ambiguities if not known.states(ambiguity))
     evidence = [columns_sentence, *known.contradicted_headers(tables[0])]
     if options.left_out:
-        left_out = ", ".join(f"{name} ({reason})" for name, reason in options.left_out.items())
-        evidence.append(f"left out: {left_out}")
+        evidence.append(options.left_out_text)
     evidence += [_regression_sentence(axis, regressions[axis]) for axis in AXES]
     evidence += [lag_sentence(regressions), _hover_sentence(motion, scale, reference)]
     proposed = Guess(profile, unknown, tuple(evidence), log_likelihood=assignment.log_likelihood)
