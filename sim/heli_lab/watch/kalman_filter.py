@@ -123,6 +123,10 @@ class KalmanFilter:
         # parameter, (order, parameters + 1).
         self._transition: Floats = np.eye(order)
         self._parameter_sensitivity: Floats = np.zeros((order, twin.weights.shape[0]))
+        self._watches_changes = twin.weights.shape[1] > 0
+        # Transition of z over a step; only the rows of the model's state differ from step to step.
+        self._step_transition: Floats = np.diag(self._autocorrelation)
+        self._is_of_root: Floats = np.tri(order)  # Above it, a QR decomposition keeps its reflections
         self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
 
     def copy(self) -> KalmanFilter:
@@ -183,17 +187,16 @@ class KalmanFilter:
         state_by_parameter[:, :-1] = -gamma @ middle.rates[0, :, 1:]
         state_by_parameter[:, -1] = -gamma @ (middle.by_input[0] @ volts_V)
         # Dry friction has the sign of the rate. The mean sign of an uncertain rate is smaller than one.
-        rate_std_rad_s = np.linalg.norm(self._root[_RATES], axis=1)
         for column, axis in twin.frictions:
-            rate_stds = abs(self.mean[_RATES][axis]) / (_SIGN_WIDTH_STDS * rate_std_rad_s[axis])
+            rate_std_rad_s = np.linalg.norm(self._root[_RATES][axis])
+            rate_stds = abs(self.mean[_RATES][axis]) / (_SIGN_WIDTH_STDS * rate_std_rad_s)
             state_by_parameter[:, column] *= math.erf(rate_stds)
         state_by_error = state_by_parameter @ self._directions
-        transition = np.zeros((self._order, self._order))
+        transition = self._step_transition
         transition[:nx, :nx] = phi
         # Gusts, drift and constant torques all act as torques.
-        transition[:nx, self._torques] = np.tile(state_by_torque, 3)
+        transition[:nx, self._torques].reshape(nx, 3, 3)[:] = state_by_torque[:, None]
         transition[:nx, self._errors] = state_by_error
-        np.fill_diagonal(transition[nx:, nx:], self._autocorrelation[nx:])
         predicted = (
             self.state
             + gamma @ middle.rates[0, :, 0]
@@ -206,9 +209,10 @@ class KalmanFilter:
             (reset,) = twin.resets(twin.at(t_s + h, predicted, volts_V, h))
             self.mean[:nx] = reset[0, :, 0]
         self._propagate_root(transition, gamma @ middle.by_input[0], volts_V)
-        self._parameter_sensitivity = transition @ self._parameter_sensitivity
-        self._parameter_sensitivity[:nx] += state_by_parameter
-        self._transition = transition @ self._transition
+        if self._watches_changes:
+            self._parameter_sensitivity = transition @ self._parameter_sensitivity
+            self._parameter_sensitivity[:nx] += state_by_parameter
+            self._transition = transition @ self._transition
 
     def _propagate_root(self, transition: Floats, by_volts: Floats, volts_V: Floats) -> None:
         """Propagate the root of the covariance by a QR decomposition (array algorithm). Shapes: `transition`
@@ -222,7 +226,8 @@ class KalmanFilter:
             std_V = outside_V * (_EXCURSION_s / self.step_s) ** 0.5
             voltage_noise[:, : self._nx] = (by_volts * std_V).T
             rows = np.vstack((rows, voltage_noise))
-        self._root = np.asarray(np.linalg.qr(rows, mode="r")).T
+        packed, _ = np.linalg.qr(rows, mode="raw")
+        self._root = packed[:, : self._order] * self._is_of_root
 
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
         """Propagate the sensitivities over the steps since the last call, s+ = F s + G w a. Shapes: `ages_s`
@@ -232,6 +237,8 @@ class KalmanFilter:
         # unit of each change adds the twin's `weights` w to these parameters. The amount a of a change is 0
         # before its onset. After it, the amount of a step is 1, and the amount of a ramp is the time since
         # the onset at the middle of the block.
+        if not self._watches_changes:
+            return
         ramp_s = np.maximum(ages_s - 0.5 * self._block_s, 0.0)
         amount = np.where(ages_s > 0.0, np.where(is_ramp[:, None], ramp_s, 1.0), 0.0)
         order, columns, onsets = self.state_sensitivity.shape
