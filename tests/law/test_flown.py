@@ -14,8 +14,9 @@ from heli_host.board.law_flight import engage, loaded, takeover_since
 from heli_host.board.law_program import LawProgram
 from heli_host.data.response import responses
 from heli_host.link.telemetry import Ticks
+from heli_host.ui.cli.flight import FlightOptions
 from heli_lab.apps.classroom.grade import FlightScore, LawGrade, score_of_trial
-from heli_lab.control.law_flight import LawTrial
+from heli_lab.control.law_flight import LawTrial, fly_trial, trial_plan
 from heli_lab.control.linear_law import linearised
 from heli_lab.control.tune.loops import linear_plant
 from heli_lab.law import Command, Law, control_law, from_gain
@@ -353,3 +354,10 @@ def test_a_grade_and_its_figure_measure_the_same(terminal: Terminal, tmp_path: P
     travel = responses(trial.flight)[2]
     settling_s = score_of_trial(trial).settling_s
     assert settling_s == (math.inf if math.isnan(travel.settling_s) else travel.settling_s)
+
+
+def test_the_boards_own_law_is_measured_without_its_checks_of_the_travel_encoder() -> None:
+    # The board tilts the arm after a few seconds at the end of the step; it does not while a law flies.
+    trial = fly_trial(None, FlightOptions(sil=True, speed="max"), trial_plan(12.0))
+    assert not [event for event in trial.flight.events if event.name == "travel_probe"]
+    assert responses(trial.flight)[2].settling_s < 5.0

@@ -11,13 +11,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heli_host.data.flight import Flight
+from heli_host.data.flight import Flight, FlightEvent
 from heli_host.data.log.figure import draw, write_figure
 from heli_host.data.log.reader import read_flight, read_log
 from heli_host.data.log.ros2 import export_ros2
 from heli_host.data.log.summary import summarise, tracking_errors_deg
 from heli_host.data.log.table import export_mat, export_parquet, write_csv
-from heli_host.data.response import count_rad, effort_V, flight_under_law, flown_rows, responses, steps
+from heli_host.data.response import (
+    count_rad,
+    effort_V,
+    flight_under_law,
+    flown_rows,
+    responses,
+    steps,
+    travel_checks_text,
+)
 from heli_host.declaration import Axis, Channel, Flags, State
 from heli_host.errors import LogWriteError
 from hypothesis import given, settings
@@ -373,6 +381,31 @@ def test_metrics_of_a_step_are_those_of_the_textbook(ramp_s: float) -> None:
     assert elevation.rms_deg == pytest.approx(math.degrees(0.01))
     assert math.isnan(elevation.rise_s)
     assert pitch.rms_deg == 0.0
+
+
+@pytest.mark.medium
+def test_a_tilt_that_checks_the_travel_encoder_is_no_error_of_the_law() -> None:
+    calm = second_order()
+    swing_rad = np.where(np.abs(calm.t_s - 10.0) < 3.0, np.deg2rad(12.0) * np.sin(calm.t_s), 0.0)
+    is_swinging = calm.t_s >= 8.0
+    checked = replace(
+        calm,
+        pitch_rad=calm.pitch_rad + is_swinging * swing_rad,
+        travel_rad=calm.travel_rad + is_swinging * swing_rad,
+        front_V=calm.front_V + is_swinging * swing_rad,
+        events=(FlightEvent(8.0, "travel_probe", "asked"), FlightEvent(8.4, "travel_probe", "counts")),
+    )
+    assert responses(replace(checked, events=()))[2].overshoot_percent > 50.0
+    elevation, pitch, travel = responses(checked)
+    before = responses(calm.between(0.0, 8.0))[2]
+    assert (travel.overshoot_percent, travel.settling_s) == (before.overshoot_percent, before.settling_s)
+    is_judged = (calm.t_s < 8.0) | (calm.t_s >= 18.4)
+    error_rad = (calm.travel_rad - calm.travel_setpoint_rad)[is_judged]
+    assert travel.rms_deg == pytest.approx(np.rad2deg(np.sqrt(np.mean(error_rad**2))))
+    assert (pitch.rms_deg, effort_V(checked)) == (0.0, pytest.approx(0.0, abs=1e-9))
+    assert elevation == responses(calm)[0]
+    assert travel_checks_text(calm) == ""
+    assert "a check of the silent travel encoder" in travel_checks_text(checked)
 
 
 @pytest.mark.medium

@@ -65,6 +65,47 @@ def led_rows(flight: Flight, axis: str) -> Booleans:
     return rows
 
 
+_CHECK_EVENT: Final = "travel_probe"
+CHECK_RETURN_s: Final = 10.0
+"""Time within which travel is back after a check of its encoder [s]; docs/reference/failures.md describes the
+checks. Shorter: the swing counts as an error of the law. Longer: a hover with two checks per minute is hardly
+judged at all."""
+_TILTED: Final = ("pitch", "travel")
+"""Axes that a check moves."""
+
+
+def travel_checks_text(flight: Flight) -> str:
+    """State which rows are not judged because of checks of travel's encoder; empty without such checks."""
+    # The board reports the beginning and the result of each check.
+    number = math.ceil(len(_check_times_s(flight)) / 2)
+    if not number:
+        return ""
+    checks = "a check" if number == 1 else f"{number} checks"
+    return (
+        f"{checks} of the silent travel encoder tilted the arm: errors and step responses of pitch and "
+        f"travel are without the {CHECK_RETURN_s:g} s after {'it' if number == 1 else 'each'}"
+    )
+
+
+def _check_times_s(flight: Flight) -> list[float]:
+    return [event.t_s for event in flight.events if event.name == _CHECK_EVENT]
+
+
+def judged_rows(flight: Flight, axis: str) -> Booleans:
+    """Return the rows of `led_rows` in which the law alone moved an axis: not those of a check of travel's
+    encoder. Returns shape (n,).
+    """
+    rows = led_rows(flight, axis)
+    return rows & ~_disturbed_by_check(flight) if axis in _TILTED else rows
+
+
+def _disturbed_by_check(flight: Flight) -> Booleans:
+    rows = np.zeros(len(flight), np.bool_)
+    for time_s in _check_times_s(flight):
+        rows |= (flight.t_s >= time_s) & (flight.t_s < time_s + CHECK_RETURN_s)
+    return rows
+
+
 def flight_under_law(flight: Flight) -> Flight:
     """Cut a flight to the rows in which an uploaded law flew; if none flew, to the rows of `flown_rows`."""
     is_flown = _rows_of_uploaded_law(flight)
@@ -171,7 +212,7 @@ class Step:
     size_deg : float
         Size of the step [deg].
     metrics : StepMetrics
-        Response of the axis, until the setpoint moves again.
+        Response of the axis, until the setpoint moves again, or a check of travel's encoder moves the arm.
     """
 
     start_s: float
@@ -215,9 +256,9 @@ def effort_V(flight: Flight) -> float:
     """Return the control effort: the RMS deviation of both motor voltages from their means, V.
 
     Subtracting the means removes the voltage that carries the arm. Only rows in which a control law flew
-    count; nan without such rows.
+    count, without checks of travel's encoder; nan without such rows.
     """
-    flown = flight.voltages_V[flown_rows(flight)]
+    flown = flight.voltages_V[flown_rows(flight) & ~_disturbed_by_check(flight)]
     return float(np.sqrt(np.mean(flown.var(axis=0)))) if flown.size else math.nan
 
 
@@ -248,7 +289,7 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
     angle_deg, setpoint_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
     count_deg = float(np.rad2deg(count_rad(flight)[AXES.index(axis)]))
     responses = []
-    for first, stop in _setpoint_steps(flight, setpoint_deg, led_rows(flight, axis)):
+    for first, stop in _setpoint_steps(flight, setpoint_deg, judged_rows(flight, axis)):
         start_deg, end_deg, t_s = setpoint_deg[first - 1], setpoint_deg[stop - 1], flight.t_s[first:stop]
         moved_deg = angle_deg[first:stop]
         metrics = step_metrics(t_s - t_s[0], moved_deg, float(start_deg), float(end_deg), count_deg)
@@ -337,7 +378,7 @@ def _response(flight: Flight, axis: str) -> Response:
     """Return the metrics of the largest step of an axis, and its RMS tracking error; nan where a flight has
     none.
     """
-    is_commanded, nan = led_rows(flight, axis), math.nan
+    is_commanded, nan = judged_rows(flight, axis), math.nan
     if not is_commanded.any():
         return Response(
             axis, step_s=nan, step_deg=nan, rise_s=nan, overshoot_percent=nan, settling_s=nan, rms_deg=nan

@@ -20,6 +20,7 @@ from heli_host.errors import FlightDataError
 from heli_host.fly.pilot import LAW_TAKEN_OVER
 from heli_host.fly.plan import Plan
 from heli_host.ui.cli.flight import FlightOptions, FlownFlight, fly_plans
+from heli_host.ui.cli.options import chosen_parameters
 from heli_host.ui.cli.say import QUIET
 
 
@@ -66,7 +67,7 @@ def flown_with(
     from heli_host.board.law_flight import engage
 
     flown = fly_plans(
-        options,
+        _without_travel_checks(options) if program is None else options,
         [plan],
         plan_names=[plan_name],
         on_taken_off=(lambda heli: engage(heli, program)) if program is not None else None,
@@ -75,6 +76,20 @@ def flown_with(
     outcome, _, reason = flown.summary.outcome.partition(": ")
     taken_over = reason.partition(" ")[0] if outcome == LAW_TAKEN_OVER else ""
     return flown, taken_over
+
+
+def _without_travel_checks(options: FlightOptions) -> FlightOptions:
+    """Return the options of a simulated flight in which the board does not tilt the arm to check a silent
+    travel encoder.
+    """
+    # It checks no encoder while an uploaded law flies. With such tilts, the board's own law has an overshoot
+    # of 23 % instead of 12 %, and does not settle. A real board keeps its checks.
+    if not options.sil:
+        return options
+    parameters = options.parameters
+    if parameters is None:
+        parameters = chosen_parameters(options.params, options.gains)
+    return replace(options, parameters={"travel_silence_s": 0.0, **parameters})
 
 
 STEP_deg: Final = 10.0

@@ -25,7 +25,7 @@ from heli_host.data.files import RESULT_SCHEMA, write_text
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import Log
 from heli_host.data.log.writer import DISK_BLOCKED, TICKS_DROPPED
-from heli_host.data.response import flown_rows, led_rows, rms
+from heli_host.data.response import flown_rows, judged_rows, rms, travel_checks_text
 from heli_host.declaration import AXES
 from heli_host.errors import HeliError, LogWriteError
 from heli_host.link.installation import plugins
@@ -83,15 +83,15 @@ class FlightSummary:
     ticks_logged: int  # ticks_logged, ticks_lost: Ticks in the log, and ticks that are missing between them
     ticks_lost: int
     rms_error_deg: Mapping[str, float | None]
-    """rms_error_deg, max_error_deg: Tracking error by axis; None for an axis that was never in closed loop.
-    """
+    """rms_error_deg, max_error_deg: Tracking error by axis, see `heli_host.data.response`; None for an axis
+    that no row judges."""
     max_error_deg: Mapping[str, float | None]
     link: Mapping[str, int]  # ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and other counters
     plans: tuple[str, ...] = ()  # Names of the plans flown
     rig: str = ""  # rig, board: Name of the rig, and description of the board
     board: str = ""
     events: tuple[Mapping[str, Any], ...] = ()  # ``t_s``, ``name``, ``text`` of every event
-    notes: tuple[str, ...] = ()  # Defects of the log
+    notes: tuple[str, ...] = ()  # Defects of the log, and rows that are left out of the errors
     log: str = ""  # Path of the log
     findings: tuple[FlightFinding, ...] = ()  # Findings of the flight that contradict its rig
 
@@ -140,8 +140,10 @@ def summarise(log: Log) -> FlightSummary:
     closed_axes = _closed_axes(session.get("axes", ""))
     rms_deg: dict[str, float | None] = dict.fromkeys(AXES)
     max_deg: dict[str, float | None] = dict.fromkeys(AXES)
+    checks_text = ""
     if len(log.ticks):
         flight = log.flight()
+        checks_text = travel_checks_text(flight)
         for axis, errors_deg in zip(AXES, tracking_errors_deg(flight).T, strict=True):
             led_deg = errors_deg[~np.isnan(errors_deg)]
             if len(led_deg) and axis in closed_axes:
@@ -167,7 +169,11 @@ def summarise(log: Log) -> FlightSummary:
             {"t_s": round(float(event["t_s"]), 6), "name": event["name"], "text": event["message"]}
             for event in log.events
         ),
-        notes=(*log.notes, *(event["message"] for event in log.events if event["name"] in _TOLD)),
+        notes=(
+            *log.notes,
+            *(event["message"] for event in log.events if event["name"] in _TOLD),
+            *([checks_text] if checks_text else []),
+        ),
         log=str(log.path),
     )
 
@@ -182,7 +188,7 @@ def tracking_errors_deg(flight: Flight) -> NDArray[np.float64]:
     rows = flown_rows(flight)
     errors_deg: NDArray[np.float64] = np.rad2deg(flight.angles_rad - setpoints_rad)
     for index, axis in enumerate(AXES):
-        errors_deg[~led_rows(flight, axis), index] = np.nan
+        errors_deg[~judged_rows(flight, axis), index] = np.nan
     return errors_deg[rows]
 
 

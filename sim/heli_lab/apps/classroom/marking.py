@@ -269,20 +269,22 @@ def scored_flight(
                 file = Path(temporary_folder) / "parameters.toml"
                 file.write_text(parameters_text(parameters, "Parameters of a submission"), encoding="utf-8")
                 options = replace(options, params=file)
-            flight_result, taken_over = flown_with(program, options, plan)
+            flight_result, takeover = flown_with(program, options, plan)
     finally:
         QUIET.reset(output_setting)
     if was_interrupted(flight_result.summary.outcome):
         raise KeyboardInterrupt
-    outcome = ""
+    ended = ""
     try:
         flight_result.raise_if_not_completed()
     except FlightAborted as error:
-        outcome = error.cause
+        ended = error.cause
+    if takeover:
+        ended = f"the board's own law took over: {takeover}"
     try:
-        return score_of_trial(LawTrial.of_log(flight_result.log, taken_over or outcome))
+        return score_of_trial(LawTrial.of_log(flight_result.log, ended))
     except FlightDataError as error:
-        return FlightScore(ended=outcome or error.cause)
+        return FlightScore(ended=ended or error.cause)
 
 
 Confirm = Callable[[str], bool | None]

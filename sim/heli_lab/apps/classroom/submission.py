@@ -88,6 +88,10 @@ def read_submission(folder: Path, limits: FileLimits, rig: str | None = None) ->
             raise PlanError(f"{path.name} is not TOML: {error}", "correct that line") from error
         if TABLE in content:
             gains.append(_gains_of_file(content, path))
+        elif any(spec.name in content for spec in PARAMS):
+            raise ParameterError(
+                f"{path.name} sets parameters outside of [{TABLE}]", f"write the line [{TABLE}] above them"
+            )
         else:
             plan = Plan.of_tables(content, text, path.name)
             _check_plan(plan)
