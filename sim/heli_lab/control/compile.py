@@ -59,8 +59,8 @@ def compile_program(
     output_count = FIXED_OUTPUTS + len(signals)
     program, outputs = _translate_to_values(name, function, output_count)
     program, outputs = _with_sums(program, outputs)
-    # A state whose old value becomes the new value of a state is copied. Without the copy, the board may
-    # have overwritten the old value before it is read.
+    # The outputs from `output_count` on are the new states. If a new state is an old one, it is copied:
+    # without the copy, the board may have overwritten the old value before it is read.
     for k in range(output_count, len(outputs)):
         if program.values[outputs[k]].kind == "state":
             outputs[k] = program.append("copy", outputs[k])
@@ -82,8 +82,9 @@ def _translate_to_values(name: str, function: ca.Function, output_count: int) ->
     """Translate CasADi's instructions into values. Returns `program`, `outputs`."""
     program = _Program(name)
     argument_kinds = ("input", "state", "parameter")
-    # Result 0 has the outputs, result 1 the new states.
-    outputs = [program.constant(0.0)] * (output_count + function.size1_out(1))
+    # Result 0 has the outputs, result 1 the new states. CasADi has no instruction for an output that is 0.
+    new_states = 1
+    outputs = [program.constant(0.0)] * (output_count + function.size1_out(new_states))
     first_output_of_result = (0, output_count)
     # Index of the value in each of CasADi's work registers.
     register: dict[int, int] = {}
@@ -129,17 +130,18 @@ def _assign_cells(
     """Assign a cell of the board's memory to every value; return the instructions, and the cell of each
     output.
     """
-    # A cell is free again after the last operation that reads its value.
+    # Values of these kinds have fixed cells, in this order; the other cells follow.
     first_cell = {"input": 0, "constant": len(LAW_INPUTS)}
     first_cell["parameter"] = first_cell["constant"] + len(program.constants)
     first_cell["state"] = first_cell["parameter"] + parameter_count
     next_cell = first_cell["state"] + state_count
-    # Index of the last operation that reads each value.
+    # Index of the last operation that reads each value; the outputs are read after all operations.
     last_reader: dict[int, int] = {}
     for index, value in enumerate(program.values):
         for operand in value.operands:
             last_reader[operand] = index
     last_reader.update(dict.fromkeys(outputs, len(program.values)))
+    # Cell of each value, by the index of the value.
     cell: dict[int, int] = {}
     free_cells: list[int] = []
     instructions: list[Instruction] = []
@@ -147,6 +149,7 @@ def _assign_cells(
         if value.kind in first_cell:
             cell[index] = first_cell[value.kind] + value.detail
             continue
+        # The result may take the cell of an operand that no later operation reads.
         for operand in set(value.operands):
             if last_reader[operand] == index and program.values[operand].kind not in first_cell:
                 free_cells.append(cell[operand])
@@ -413,11 +416,13 @@ def _with_sums(program: _Program, outputs: list[int]) -> tuple[_Program, list[in
     """Replace additions and multiplications by sums of products where these cost less. Returns `program`,
     `outputs`.
     """
-    # From the last value to the first, so that each value is known to be read, or not, when its turn comes.
+    # Number of readers of each value.
     readers = Counter(operand for value in program.values for operand in value.operands)
     readers.update(outputs)
-    read_values = set(outputs)
+    # Products of each sum, by the index of its value.
     sums: dict[int, list[_Product]] = {}
+    # From the last value to the first, so that each value is known to be read, or not, when its turn comes.
+    read_values = set(outputs)
     for index in range(len(program.values) - 1, -1, -1):
         if index not in read_values:
             continue
@@ -453,9 +458,11 @@ def _expand_to_products(
     program: _Program, readers: Counter[int], index: int, factor: float, is_root: bool = False
 ) -> list[_Product]:
     """Expand a value of the program, times a factor, into products."""
-    # A value that several operations read is not expanded, because it is computed once anyway.
+    # `is_root`: The value is the whole sum, not a term of one.
     value = program.values[index]
-    if value.kind not in _LINEAR or (readers[index] > 1 and not is_root):
+    # Several operations read a shared value, so it is computed anyway.
+    is_shared = readers[index] > 1
+    if value.kind not in _LINEAR or (is_shared and not is_root):
         return [_Product(factor, index)]
     if value.kind == "negate":
         return _expand_to_products(program, readers, value.operands[0], -factor)
@@ -470,6 +477,7 @@ def _expand_to_products(
         number = program.constant_number(constant)
         if number is not None:
             return _expand_to_products(program, readers, other, factor * number)
+    # A term on the board has two operands and a sign, so no room for a factor of two values.
     if abs(factor) == 1.0:
         return [_Product(factor, first, second)]
     return [_Product(factor, index)]

@@ -165,6 +165,7 @@ class _Instruction(NamedTuple):
 def _system_call_filter(machine: str) -> list[_Instruction]:
     """Write the filter for a processor: a list of instructions of the kernel's packet filter (BPF)."""
     processor_column = list(_ARCHITECTURES).index(machine)
+    # The numbers of the calls are those of one architecture; calls of another end the process.
     lines = [
         _Instruction(_LOAD, _ARCHITECTURE_AT),
         _Instruction(_EQUAL, _ARCHITECTURES[machine], skip_if_true=1),
@@ -176,19 +177,20 @@ def _system_call_filter(machine: str) -> list[_Instruction]:
 
     def on_call(call: tuple[int, int], *instructions: _Instruction) -> None:
         """Add the `instructions` that the filter runs for a system call, if this processor has it."""
-        if call[processor_column] >= 0:
-            lines.append(_Instruction(_EQUAL, call[processor_column], skip_if_false=len(instructions)))
+        number = call[processor_column]
+        if number >= 0:
+            lines.append(_Instruction(_EQUAL, number, skip_if_false=len(instructions)))
             lines.extend(instructions)
 
-    def refuse_bits(call: tuple[int, int], argument: int, bits: int, *, wanted: bool) -> None:
-        """Refuse a call unless its argument has one of the bits, or, if not `wanted`, none of them."""
-        has_bits = _Instruction(
-            _ANY_BIT, bits, skip_if_true=1 if wanted else 0, skip_if_false=0 if wanted else 1
+    def check_flags(call: tuple[int, int], flags_argument: int, bits: int, *, are_required: bool) -> None:
+        """Refuse a call whose flags have none of the bits if these are required, or any of them if not."""
+        skip_refusal_if_any_bit = _Instruction(
+            _ANY_BIT, bits, skip_if_true=int(are_required), skip_if_false=int(not are_required)
         )
         on_call(
             call,
-            _Instruction(_LOAD, _ARGUMENT_AT + _ARGUMENT_BYTES * argument),
-            has_bits,
+            _Instruction(_LOAD, _ARGUMENT_AT + _ARGUMENT_BYTES * flags_argument),
+            skip_refusal_if_any_bit,
             _Instruction(_RETURN, _EPERM),
             _Instruction(_RETURN, _ALLOW),
         )
@@ -199,9 +201,10 @@ def _system_call_filter(machine: str) -> list[_Instruction]:
     # uses the older calls, whose arguments a filter can read.
     for call in (_CLONE3, _OPENAT2):
         on_call(call, _Instruction(_RETURN, _ENOSYS))
-    refuse_bits(_CLONE, 0, _CLONE_THREAD, wanted=True)
-    refuse_bits(_OPEN, 1, _WRITES, wanted=False)
-    refuse_bits(_OPENAT, 2, _WRITES, wanted=False)
+    # Threads are allowed, processes are not; files may be read, not written.
+    check_flags(_CLONE, flags_argument=0, bits=_CLONE_THREAD, are_required=True)
+    check_flags(_OPEN, flags_argument=1, bits=_WRITES, are_required=False)
+    check_flags(_OPENAT, flags_argument=2, bits=_WRITES, are_required=False)
     # prlimit64 with new limits: the pointer to them, argument 2, is not null in one of its halves.
     new_limits_at = _ARGUMENT_AT + _ARGUMENT_BYTES * 2
     on_call(

@@ -183,21 +183,23 @@ def control_law(
     BadLaw
         The function does what no program can, such as a Python ``if`` on a symbol.
     """
-    initial, values = dict(states or {}), dict(parameters or {})
+    initial_states, parameter_values = dict(states or {}), dict(parameters or {})
 
     def make(function: Callable[..., Command]) -> Law:
         """Call the function with symbols, and make the law of its result."""
         law_name = name or function.__name__
-        inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
-        states, parameters = ca.SX.sym("states", len(initial)), ca.SX.sym("parameters", len(values))
-        now, state = _namespace_of_symbols(inputs, LAW_INPUTS), _namespace_of_symbols(states, initial)
-        command = _call_with_symbols(
-            function, law_name, now, state, _namespace_of_symbols(parameters, values)
-        )
-        unknown = sorted(set(command.states) - set(initial))
-        if unknown:
+        input_symbols = ca.SX.sym("inputs", len(LAW_INPUTS))
+        state_symbols = ca.SX.sym("states", len(initial_states))
+        parameter_symbols = ca.SX.sym("parameters", len(parameter_values))
+        now = _namespace_of_symbols(input_symbols, LAW_INPUTS)
+        state = _namespace_of_symbols(state_symbols, initial_states)
+        parameter = _namespace_of_symbols(parameter_symbols, parameter_values)
+        command = _call_with_symbols(function, law_name, now, state, parameter)
+        undeclared_states = sorted(set(command.states) - set(initial_states))
+        if undeclared_states:
             raise BadLaw(
-                f"the law {law_name} has no state {unknown[0]}", "name it in states=, with its first value"
+                f"the law {law_name} has no state {undeclared_states[0]}",
+                "name it in states=, with its first value",
             )
         outputs = [
             command.front_V,
@@ -205,15 +207,16 @@ def control_law(
             *_setpoints_for_log(command, now),
             *command.signals.values(),
         ]
-        new_states = [command.states.get(key, getattr(state, key)) for key in initial]
+        # A state that the command does not mention keeps its value.
+        new_states = [command.states.get(key, getattr(state, key)) for key in initial_states]
         graph = casadi_function(
-            inputs,
-            states,
-            parameters,
+            input_symbols,
+            state_symbols,
+            parameter_symbols,
             _scalar_symbols(outputs, law_name),
             _scalar_symbols(new_states, law_name),
         )
-        return Law(law_name, rate_Hz, graph, initial, values, tuple(command.signals))
+        return Law(law_name, rate_Hz, graph, initial_states, parameter_values, tuple(command.signals))
 
     return make
 
@@ -238,7 +241,7 @@ def _call_with_symbols(
         )
     try:
         command = function(now, state, parameter)
-    except BadLaw:
+    except BadLaw:  # Raised by a function of this module, with an explanation
         raise
     except Exception as error:
         raise _explain_error(error, law_name) from error
@@ -294,6 +297,7 @@ def _scalar_symbols(values: Sequence[Any], name: str) -> list[ca.SX]:
 
 def _explain_error(error: Exception, name: str) -> BadLaw:
     """Explain an `error` in the function of the law `name`: which line, and what to write instead."""
+    # The last line outside of CasADi is the user's.
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "casadi" not in frame.filename]
     last_frame = frames[-1] if frames else None
     line_text = f"line {last_frame.lineno} of the law {name}" if last_frame is not None else f"the law {name}"
@@ -312,12 +316,13 @@ def _explain_error(error: Exception, name: str) -> BadLaw:
         return BadLaw(
             f"{line_text} reads {error.name}, which does not exist ({source_line})", f"names are: {names}"
         )
-    text = str(error).split("\n")[0]
+    # Functions of math convert a symbol to a number, which raises one of these.
     if isinstance(error, TypeError | RuntimeError) and "math." in source_line:
         return BadLaw(
             f"{line_text} calls a function of the module math ({source_line})",
             "use sin, cos, sqrt, ... of heli_lab.law: these accept symbols",
         )
+    text = str(error).split("\n")[0]
     return BadLaw(f"{line_text} failed: {type(error).__name__}: {text}", f"correct this line: {source_line}")
 
 
@@ -434,9 +439,14 @@ def from_gain(
     def law(now: Any, state: Any, parameter: Any) -> Command:
         """Multiply the errors by the gains, and convert the result to motor voltages."""
         command_V = -ca.mtimes(ca.DM(gains), _tracking_errors(now))
-        return Command(*motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V))
+        collective_V, differential_V = parameter.hover_V + command_V[0], command_V[1]
+        return Command(*motor_volts(collective_V, differential_V, dead_zone_V))
 
     return law
+
+
+_RATE_TOLERANCE: Final = 1e-6
+"""Relative difference up to which two rates are equal: an interval in seconds is rounded."""
 
 
 def from_state_space(
@@ -468,9 +478,10 @@ def from_state_space(
             f"the system has {system.ninputs} inputs and {system.noutputs} outputs",
             f"give {len(ERRORS)} inputs ({', '.join(ERRORS)}) and 2 outputs (collective, differential)",
         )
-    if system.isctime(strict=False) and not system.isdtime(strict=True):
+    # In python-control, dt is None if no time is stated, and True for a discrete system of any rate.
+    if system.isctime(strict=False):
         system = system.sample(1.0 / rate_Hz, method="bilinear")
-    elif abs(float(system.dt) * rate_Hz - 1.0) > 1e-6 and system.dt is not True:
+    elif system.dt is not True and abs(system.dt * rate_Hz - 1.0) > _RATE_TOLERANCE:
         raise BadLaw(f"the system was sampled every {system.dt:g} s", f"give rate_Hz={1.0 / system.dt:g}")
     A, B, C, D = (ca.DM(np.asarray(matrix)) for matrix in (system.A, system.B, system.C, system.D))
     names = [f"x{k}" for k in range(system.nstates)]
@@ -484,7 +495,8 @@ def from_state_space(
         errors = _tracking_errors(now)
         command_V = ca.mtimes(C, x) + ca.mtimes(D, errors)
         next_x = ca.mtimes(A, x) + ca.mtimes(B, errors)
-        front_V, back_V = motor_volts(parameter.hover_V + command_V[0], command_V[1], dead_zone_V)
+        collective_V, differential_V = parameter.hover_V + command_V[0], command_V[1]
+        front_V, back_V = motor_volts(collective_V, differential_V, dead_zone_V)
         return Command(front_V, back_V, states={key: next_x[k] for k, key in enumerate(names)})
 
     return law
@@ -532,19 +544,19 @@ def from_function(
             f"write it with {expected_sizes} arguments (inputs, states, parameters) "
             f"and results [2, {len(states)}] (voltages, states)",
         )
-    names = [f"x{k}" for k in range(len(states))]
-    initial = dict(zip(names, states, strict=True))
+    state_names = [f"x{k}" for k in range(len(states))]
+    initial_states = dict(zip(state_names, states, strict=True))
 
-    @control_law(rate_Hz=rate_Hz, name=name or function.name(), states=initial, parameters=values)
+    @control_law(rate_Hz=rate_Hz, name=name or function.name(), states=initial_states, parameters=values)
     def law(now: Any, state: Any, parameter: Any) -> Command:
         """Call the CasADi function with columns of symbols."""
         arguments = [
             _column_of([getattr(symbols, key) for key in keys])
-            for symbols, keys in ((now, LAW_INPUTS), (state, names), (parameter, values))
+            for symbols, keys in ((now, LAW_INPUTS), (state, state_names), (parameter, values))
         ]
-        results = function.call(arguments[: len(sizes)])
-        volts = results[0]
-        new_states = {key: results[1][k] for k, key in enumerate(names)} if names else {}
+        volts, *state_column = function.call(arguments[: len(sizes)])
+        # Without states, the function may return voltages alone.
+        new_states = {key: state_column[0][k] for k, key in enumerate(state_names)}
         return Command(volts[0], volts[1], states=new_states)
 
     return law

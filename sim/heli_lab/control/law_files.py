@@ -80,8 +80,7 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
     # The process has limits of time and memory, and can write no file, open no socket and start no process.
     # Its answer is checked, and everything that it prints is discarded. The file can still read all files
     # that you can read.
-    # Reading a pipe or a device of this name would never end.
-    check_files([path])
+    check_files([path])  # Reading a pipe or a device of this name would never end.
     # The same message for an endless loop and an endless wait: the computer's load decides which limit ends
     # the process first.
     endless = BadLaw(
@@ -105,6 +104,7 @@ def load_limited(path: Path, limits: FileLimits, rig: str | None = None) -> LawP
         raise BadLaw(
             f"{path.name} did not return a law", "remove the code that replaces the output of its process"
         ) from error
+    # The cause names the exception that ended the file.
     if MemoryError.__name__ in cause:
         remedy = f"use less than {limits.memory_MB} MB of memory"
     elif PermissionError.__name__ in cause:
@@ -123,10 +123,11 @@ def _run_in_process(
     path: Path, limit_s: float, rig: str | None, limits: FileLimits | None = None
 ) -> _EndedProcess:
     """Run a law file in another process, which is fenced if there are `limits`."""
-    fenced = limits is not None
+    is_fenced = limits is not None
     # `main` reads these words.
     limit_words = (f"{limits.cpu_s}", f"{limits.memory_MB}") if limits is not None else ()
-    max_bytes = _MAX_ANSWER_BYTES if fenced else -1
+    no_limit = -1
+    max_bytes = _MAX_ANSWER_BYTES if is_fenced else no_limit
     process = subprocess.Popen(
         # -P: a file in the present folder cannot replace a module of Python.
         [
@@ -134,7 +135,8 @@ def _run_in_process(
             "-P",
             "-m",
             "heli_lab.control.law_files",
-            str(path.absolute() if fenced else path),
+            # A fenced process starts in the file's folder, so that it needs the absolute path.
+            str(path.absolute() if is_fenced else path),
             *limit_words,
         ],
         env={
@@ -142,12 +144,12 @@ def _run_in_process(
             # A relative entry, as of `sys.path.insert(0, ".")`, would be the present folder too.
             "PYTHONPATH": os.pathsep.join(filter(os.path.isabs, sys.path)),
             **_rig_environment(rig),
-            **(_FENCED_ENVIRONMENT if fenced else {}),
+            **(_FENCED_ENVIRONMENT if is_fenced else {}),
         },
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL if fenced else None,
-        cwd=path.parent if fenced else None,
+        stderr=subprocess.DEVNULL if is_fenced else None,
+        cwd=path.parent if is_fenced else None,
         # A separate session, so that processes started by the file can be ended together with it.
         start_new_session=True,
     )
@@ -155,7 +157,7 @@ def _run_in_process(
     # Windows cannot wait for a pipe with a time limit, so a thread reads the pipe.
     threading.Thread(target=_read_answer, args=(process.stdout, answers, max_bytes), daemon=True).start()
     try:
-        # First the line that the file begins, then the answer.
+        # First the line that is written when the file begins, then the answer.
         answers.get(timeout=_MAX_START_s)
         answer = answers.get(timeout=limit_s)
         # Without an answer, the process has closed its output and is about to end.

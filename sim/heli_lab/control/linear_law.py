@@ -24,6 +24,8 @@ _MIN_DECAY_per_s: Final = 1e-3
 rounding of a pole at 0 is far smaller."""
 _UNSEEN: Final = 1e-6
 """Largest share of a mode in angles and rates that counts as none; eigenvectors are rounded at 1e-12."""
+_MIN_POLE: Final = 1e-12
+"""Magnitude that replaces a smaller one of a discrete pole: such a mode has decayed after one call."""
 _PROBE_rad: Final = np.radians(0.2)
 _PROBE_rad_s: Final = np.radians(1.0)
 
@@ -51,6 +53,7 @@ class LinearisedLaw:
 def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     """Linearise a law at level hover, and close the loop around a linear rig, both at the law's rate."""
     regulator = _linear_regulator(law)
+    # The outputs are all states but the last one of each part, the thrust.
     rig = control.append(
         control.ss(plant.elevation_A, plant.elevation_B[:, None], np.eye(2, 3), 0),
         control.ss(plant.tilt_A, plant.tilt_B[:, None], np.eye(4, 5), 0),
@@ -59,12 +62,14 @@ def linearised(law: Law, plant: LinearPlant) -> LinearisedLaw:
     order = np.eye(6)[[0, 2, 3, 1, 4, 5]]
     measured = order * rig
     loop = regulator * measured
-    # A discrete pole z is that of a continuous system at log(z) / dt.
+    # The law's slopes include the minus sign of the feedback.
     discrete_poles = _poles_of_motion(control.feedback(measured, regulator, sign=1), law.dt_s)
-    log_poles = np.log(np.maximum(np.abs(discrete_poles), 1e-12)) + 1j * np.angle(discrete_poles)
-    unknown = (np.nan, np.nan)
+    # A discrete pole z is that of a continuous system at log(z) / dt. A pole at 0, which a delay gives, has
+    # no logarithm.
+    log_poles = np.log(np.maximum(np.abs(discrete_poles), _MIN_POLE)) + 1j * np.angle(discrete_poles)
+    undefined = (np.nan, np.nan)
     result = LinearisedLaw(
-        log_poles / law.dt_s, gain_up=unknown, phase_deg=unknown, nonlinearity_V=_nonlinearity_V(law)
+        log_poles / law.dt_s, gain_up=undefined, phase_deg=undefined, nonlinearity_V=_nonlinearity_V(law)
     )
     if not result.stable:
         return result

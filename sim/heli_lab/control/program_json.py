@@ -79,7 +79,7 @@ def _check_and_convert(content: Mapping[str, Any]) -> LawProgram:
         raise ValueError("another number of outputs")
     program = LawProgram(
         _printable_name(content["name"]),
-        _check_whole_number(content["divisor"], 256),
+        _check_whole_number(content["divisor"], stop=256),  # A byte of the program
         constants,
         parameters,
         states,
@@ -97,7 +97,7 @@ def law_of_program(program: LawProgram) -> Law:
     inputs = ca.SX.sym("inputs", len(LAW_INPUTS))
     states = ca.SX.sym("states", len(program.states))
     parameters = ca.SX.sym("parameters", len(program.parameters))
-    # The board's memory before the first instruction.
+    # The board's memory before the first instruction, in the order in which a compiler assigns the cells.
     first_cells = [
         *ca.vertsplit(inputs),
         *(ca.SX(value) for value in program.constants),

@@ -128,7 +128,7 @@ def find_gains(
     elevation, elevation_path = _design_elevation(rig, plants, sensitivity)
     report("pitch and travel: step")
     tilt = _design_tilt(rig, plants, spread, sensitivity)
-    law = CascadeGains(elevation, tilt.pitch, tilt.travel, tilt.pitch_hold)
+    law = CascadeGains(elevation, tilt.pitch, tilt.travel, pitch_hold=tilt.pitch_hold)
     parameters = rig_parameters(rig) | elevation_path | tilt.parameters | _law_parameters(law)
     return Design(law, plants, sensitivity, parameters)
 
@@ -146,8 +146,7 @@ class _TakeOff:
         plants). Shapes: `closed` (plants, 6, 6).
         """
         nominal_V = self.plants[0].hover_V
-        # The states are those of `elevation_closed`.
-        rate_state, integral_state = 1, 5
+        rate_state = 1
         collective_input, setpoint_input, constant_input = range(3)
         input_matrices = np.zeros((len(self.plants), 6, 3))
         for index, plant in enumerate(self.plants):
@@ -155,11 +154,12 @@ class _TakeOff:
             # A plant needs another hover voltage than the nominal one that is fed forward.
             acceleration_rad_s2 = (nominal_V - plant.hover_V) * plant.elevation_gain
             input_matrices[index, rate_state, constant_input] = np.degrees(acceleration_rad_s2)
-        input_matrices[:, integral_state, setpoint_input] = 1.0
+        input_matrices[:, loops.ELEVATION_INTEGRAL, setpoint_input] = 1.0
         setpoint, rate = self.path_deg[:, 0], self.path_deg[:, 1]
         collective = self.feedforward + pid.kp * setpoint + pid.kd * rate
         inputs = np.column_stack((collective, setpoint, np.ones(len(setpoint))))
-        return discretise(closed, input_matrices).simulate(inputs)[:, :, 0] - self.path_deg[:, :1]
+        states = discretise(closed, input_matrices).simulate(inputs)
+        return states[:, :, loops.ELEVATION] - setpoint[:, None]
 
 
 def _design_elevation(
@@ -178,7 +178,11 @@ def _design_elevation(
     path_deg = shaped_step(
         rise_deg, ELEVATION_SLEW_DEG_S, acceleration_deg_s2, _TAKE_OFF_TIME_s, SIMULATION_STEP_s
     )
-    take_off = _TakeOff(plants, path_deg, slope_V_rad * path_deg[:, 0] + acceleration_ff * path_deg[:, 2])
+    setpoint, _, acceleration = path_deg.T
+    take_off = _TakeOff(plants, path_deg, slope_V_rad * setpoint + acceleration_ff * acceleration)
+    # With unit gains, the loop is the response of elevation to the collective.
+    unit_gains = CascadeGains(_UNIT_GAIN, _NO_GAIN, _NO_GAIN)
+    plant_responses = np.array([loops.open_loops(plant, unit_gains)["elevation"] for plant in plants])
 
     def cost(gains: Floats) -> float:
         """Cost of the elevation loop's gains kp, ki and kd, shape (3,)."""
@@ -191,13 +195,11 @@ def _design_elevation(
         squares_deg2 = np.mean(take_off.error_deg(pid, closed) ** 2, axis=0)
         return _log_cost(squares_deg2, nominal_count) + _bound_penalty(peak, sensitivity)
 
-    # With unit gains, the loop is the response of elevation to the collective.
-    unit_gains = CascadeGains(_UNIT_GAIN, _NO_GAIN, _NO_GAIN)
-    plant_responses = np.array([loops.open_loops(plant, unit_gains)["elevation"] for plant in plants])
     # At this frequency, the loop gain of a double integrator is 1 by the derivative action, 0.5 by the
     # proportional and 0.1 by the integral action.
     crossover = _initial_crossover_rad_s(plants)
-    start = np.array([0.5 * crossover**2, 0.1 * crossover**3, crossover]) / gain
+    kp, ki, kd = 0.5 * crossover**2 / gain, 0.1 * crossover**3 / gain, crossover / gain
+    start = np.array([kp, ki, kd])
     pid = _controller_of_gains(_minimise_positive(cost, start), _ELEVATION_FILTER_Hz)
     return pid, {
         "hover_V": nominal.hover_V,

@@ -15,7 +15,7 @@ import contextlib
 import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -192,14 +192,15 @@ def linear_plant(
     equations = _model_with_lag(model, max(lag_s + loop_effects.delay_s, _NO_LAG_s), loop_effects.linear)
     hover = trim(equations, rig)
     linear = derivatives(equations, rig, hover.state, hover.volts_V)
-    # Transform the two thrusts, and the two voltages, to their sum and their difference.
+    # The states are elevation, pitch, travel, their rates, and two thrusts. Transform the thrusts, and the
+    # two voltages, to their sum and their difference.
+    to_sum_and_difference = np.array([[1.0, 1.0], [1.0, -1.0]])
     transform = np.eye(8)
-    transform[6:, 6:] = [[1.0, 1.0], [1.0, -1.0]]
+    transform[6:, 6:] = to_sum_and_difference
     A = transform @ linear.A @ np.linalg.inv(transform)
-    B = transform @ linear.B @ np.array([[0.5, 0.5], [0.5, -0.5]])
-    # The states are elevation, pitch, travel, their rates, and sum and difference of the thrusts.
-    elevation, tilt = [0, 3, 6], [1, 2, 4, 5, 7]
-    hover_V = float(np.sum(hover.volts_V) - 2.0 * rig["dead_zone"].value)
+    B = transform @ linear.B @ np.linalg.inv(to_sum_and_difference)
+    elevation_states, tilt_states = [0, 3, 6], [1, 2, 4, 5, 7]
+    hover_V = float(np.sum(hover.volts_V) - 2.0 * rig["dead_zone"].value)  # Each rotor has a dead zone
     travel_per_pitch = A[5, 1]  # Acceleration of travel by a pitch
     if travel_per_pitch <= 0.0:
         raise PlantError(
@@ -211,10 +212,10 @@ def linear_plant(
         thrust=thrust,
         counterweight=counterweight,
         delay_s=loop_effects.delay_s,
-        elevation_A=A[np.ix_(elevation, elevation)],
-        elevation_B=B[elevation, 0],
-        tilt_A=A[np.ix_(tilt, tilt)],
-        tilt_B=B[tilt, 1],
+        elevation_A=A[np.ix_(elevation_states, elevation_states)],
+        elevation_B=B[elevation_states, 0],
+        tilt_A=A[np.ix_(tilt_states, tilt_states)],
+        tilt_B=B[tilt_states, 1],
         hover_V=hover_V,
     )
 
@@ -258,11 +259,15 @@ _MARGIN_FREQUENCY_rad_s: Final[Floats] = np.geomspace(0.02, 300.0, 1500)
 """Frequency grid of the margins: two crossings closer than 0.64 % are not resolved."""
 _BISECTIONS: Final = 30
 """Halvings of an interval of this grid: enough for nine digits of a frequency."""
+ELEVATION, ELEVATION_FILTER, ELEVATION_INTEGRAL = 0, 3, 5
+"""Numbers of states of `elevation_closed`: the angle, then, after the plant's three states, the first of two
+filter states and the integral of the error."""
 TILT_STATES: Final = 11
 """Number of states of `tilt_closed`."""
+PITCH, TRAVEL = 0, 1
 PITCH_FILTER, TRAVEL_FILTER, PITCH_INTEGRAL, TRAVEL_INTEGRAL = 5, 7, 9, 10
-"""Numbers of states of `tilt_closed`, after the plant's five: the first of two filter states of each loop,
-and the integral of its error."""
+"""Numbers of states of `tilt_closed`: the angles, then, after the plant's five states, the first of two
+filter states of each loop, and the integral of its error."""
 LOOPS: Final = ("elevation", "pitch", "travel", "differential")
 """Loops, each cut at one place: elevation at the collective; pitch at the differential, with the travel loop
 open; travel at the pitch setpoint, with the pitch loop closed; differential with both loops closed."""
@@ -364,12 +369,12 @@ class Margin:
 def elevation_closed(plant: LinearPlant, pid: Pid) -> Floats:
     """Return the state matrix (6, 6) of the closed elevation loop, for a setpoint of zero."""
     # The states are the plant's three (elevation, rate, thrust), two of the rate filter, and the integral of
-    # minus the elevation.
-    closed = _with_rate_filters(plant.elevation_A, (0,), (pid,))
-    output = _controller_output_row(closed.shape[0], angle=0, first=3, pid=pid)
-    output[5] = pid.ki
-    closed[5, 0] = -1.0
-    closed[:3] += np.outer(plant.elevation_B, output)
+    # the error, minus the elevation.
+    closed = _with_controller_states(plant.elevation_A, {ELEVATION: pid})
+    closed[ELEVATION_INTEGRAL, ELEVATION] = -1.0
+    output = _controller_output_row(len(closed), ELEVATION, ELEVATION_FILTER, pid)
+    output[ELEVATION_INTEGRAL] = pid.ki
+    closed[: len(plant.elevation_A)] += np.outer(plant.elevation_B, output)
     return closed
 
 
@@ -377,9 +382,9 @@ def tilt_closed(plant: LinearPlant, pitch: Pid, travel: Pid, pitch_hold: float =
     """Return the state matrix (11, 11) of the closed pitch and travel loops, for setpoints of zero."""
     # The states are the plant's five, two of each rate filter with pitch first, and the integrals of the
     # pitch and the travel error. `pitch_hold` is that of `CascadeGains`.
-    closed = _with_rate_filters(plant.tilt_A, (0, 1), (pitch, travel))
-    closed[PITCH_INTEGRAL], closed[TRAVEL_INTEGRAL, 1] = _pitch_error_row(travel), -1.0
-    closed[:5] += np.outer(plant.tilt_B, tilt_output(pitch, travel, pitch_hold))
+    closed = _with_controller_states(plant.tilt_A, {PITCH: pitch, TRAVEL: travel})
+    closed[PITCH_INTEGRAL], closed[TRAVEL_INTEGRAL, TRAVEL] = _pitch_error_row(travel), -1.0
+    closed[: len(plant.tilt_A)] += np.outer(plant.tilt_B, tilt_output(pitch, travel, pitch_hold))
     return closed
 
 
@@ -388,8 +393,9 @@ def tilt_output(pitch: Pid, travel: Pid, pitch_hold: float = 0.0) -> Floats:
     [V per unit], for setpoints of zero. `pitch_hold` is that of `CascadeGains`.
     """
     row = (pitch.kp + pitch_hold) * _pitch_error_row(travel)
-    row[0] += pitch_hold
-    row += _controller_output_row(TILT_STATES, 0, PITCH_FILTER, Pid(0.0, 0.0, pitch.kd, pitch.filter_Hz))
+    # The feed-forward acts on the setpoint of pitch, not on the error, which has minus the pitch.
+    row[PITCH] += pitch_hold
+    row += _controller_output_row(TILT_STATES, PITCH, PITCH_FILTER, replace(pitch, kp=0.0))
     row[PITCH_INTEGRAL] += pitch.ki
     return row
 
@@ -404,20 +410,26 @@ def open_loops(
     lag_s = max(plant.lag_s + plant.delay_s, _NO_LAG_s)
     lag_correction = (1.0 + s * lag_s) / (1.0 + s * max(lag_s - plant.delay_s, _NO_LAG_s))
     delay = lag_correction * np.exp(-s * (_SAMPLING_s + plant.delay_s))
-    to_elevation = delay * _frequency_response(plant.elevation_A, plant.elevation_B, 0, frequency_rad_s)
-    to_pitch = delay * _frequency_response(plant.tilt_A, plant.tilt_B, 0, frequency_rad_s)
-    to_travel = delay * _frequency_response(plant.tilt_A, plant.tilt_B, 1, frequency_rad_s)
+    to_elevation, to_pitch, to_travel = (
+        delay * _frequency_response(A, B, output, frequency_rad_s)
+        for A, B, output in (
+            (plant.elevation_A, plant.elevation_B, ELEVATION),
+            (plant.tilt_A, plant.tilt_B, PITCH),
+            (plant.tilt_A, plant.tilt_B, TRAVEL),
+        )
+    )
     elevation, pitch, travel = (
         pid.response(frequency_rad_s) for pid in (law.elevation, law.pitch, law.travel)
     )
-    inner = pitch * to_pitch
-    forward = law.pitch.kp + law.pitch_hold + law.pitch.ki / s
-    outer = travel * forward * to_travel
+    pitch_loop = pitch * to_pitch
+    # The travel loop gives the setpoint of pitch, which has no derivative action.
+    volts_per_setpoint = law.pitch.kp + law.pitch_hold + law.pitch.ki / s
+    travel_path = travel * volts_per_setpoint * to_travel
     return {
         "elevation": elevation * to_elevation,
-        "pitch": inner,
-        "travel": outer / (1.0 + inner),
-        "differential": inner + outer,
+        "pitch": pitch_loop,
+        "travel": travel_path / (1.0 + pitch_loop),
+        "differential": pitch_loop + travel_path,
     }
 
 
@@ -472,17 +484,16 @@ def _sign_changes(
     plant: LinearPlant,
     law: CascadeGains,
     grid: dict[str, ComplexArray],
-    value: Callable[[ComplexArray], Floats],
+    real_function: Callable[[ComplexArray], Floats],
 ) -> dict[str, _Crossings]:
     """Find the frequencies at which a real function of each loop gain changes sign, by bisection. Shapes:
-    `grid` (n,).
+    `grid` (n,), at the frequencies `_MARGIN_FREQUENCY_rad_s`.
     """
     # All loops are bisected together: python-control's `stability_margins` interpolates one point per call
     # and takes a hundred times as long.
-    changes = {name: np.flatnonzero(np.diff(np.sign(value(loop)))) for name, loop in grid.items()}
-    # One element per crossing: its interval of the grid, and the number of its loop.
-    interval = np.concatenate(list(changes.values()))
-    loop_index = np.repeat(np.arange(len(grid)), [len(intervals) for intervals in changes.values()])
+    grid_gains = np.array(list(grid.values()))  # (loops, n)
+    # One element per crossing: the number of its loop, and its interval of the grid.
+    loop_index, interval = np.nonzero(np.diff(np.sign(real_function(grid_gains))))
     crossing = np.arange(len(interval))
 
     def gains_at(frequency_rad_s: Floats) -> ComplexArray:
@@ -491,11 +502,11 @@ def _sign_changes(
         return np.asarray(loops[loop_index, crossing])
 
     low, high = _MARGIN_FREQUENCY_rad_s[interval], _MARGIN_FREQUENCY_rad_s[interval + 1]
-    is_negative_at_low = value(np.array(list(grid.values()))[loop_index, interval]) < 0.0
+    is_negative_at_low = real_function(grid_gains[loop_index, interval]) < 0.0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        is_low = (value(gains_at(middle)) < 0.0) == is_negative_at_low
-        low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+        is_before_change = (real_function(gains_at(middle)) < 0.0) == is_negative_at_low
+        low, high = np.where(is_before_change, middle, low), np.where(is_before_change, high, middle)
     middle = 0.5 * (low + high)
     gains = gains_at(middle)
     return {
@@ -511,36 +522,39 @@ def is_stable(plant: LinearPlant, law: CascadeGains) -> bool:
     return all(float(np.linalg.eigvals(closed).real.max()) < 0.0 for closed in (elevation, tilt))
 
 
-def _with_rate_filters(A: Floats, measured: tuple[int, ...], pids: tuple[Pid, ...]) -> Floats:
-    """Extend a state matrix by the two states of each rate filter, and by zeros for the integral of each
-    loop. Shapes: `A` (n, n).
+def _with_controller_states(A: Floats, pid_of_angle: dict[int, Pid]) -> Floats:
+    """Extend a state matrix by the two states of each loop's rate filter, then by the integral of each
+    loop's error, whose row is still zero. Shapes: `A` (n, n).
     """
-    count, loops = A.shape[0], len(measured)
-    closed = np.zeros((count + 3 * loops, count + 3 * loops))
+    # `pid_of_angle`: The controllers by the number of the state that they control.
+    count, size = len(A), len(A) + 3 * len(pid_of_angle)
+    closed = np.zeros((size, size))
     closed[:count, :count] = A
-    for number, (angle, pid) in enumerate(zip(measured, pids, strict=True)):
+    for number, (angle, pid) in enumerate(pid_of_angle.items()):
         first = count + 2 * number
+        second = first + 1
         cutoff = 2.0 * np.pi * pid.filter_Hz
         closed[first, angle], closed[first, first] = cutoff, -cutoff
-        closed[first + 1, first], closed[first + 1, first + 1] = cutoff, -cutoff
+        closed[second, first], closed[second, second] = cutoff, -cutoff
     return closed
 
 
-def _controller_output_row(size: int, angle: int, first: int, pid: Pid) -> Floats:
+def _controller_output_row(size: int, angle: int, first_filter: int, pid: Pid) -> Floats:
     """Return the row from the states to the proportional and derivative output of a controller."""
-    # `angle` is the number of the controlled state, and `first` that of the first state of its rate filter.
+    # `size`: Number of states. `angle`, `first_filter`: Numbers of the controlled state, and of the first of
+    # the two states of its rate filter; their difference is proportional to the rate.
     row = np.zeros(size)
     cutoff = 2.0 * np.pi * pid.filter_Hz
     row[angle] = -pid.kp
-    row[first], row[first + 1] = -pid.kd * cutoff, pid.kd * cutoff
+    row[first_filter], row[first_filter + 1] = -pid.kd * cutoff, pid.kd * cutoff
     return row
 
 
 def _pitch_error_row(travel: Pid) -> Floats:
     """Return the row from the states to the pitch error; the travel loop gives the pitch setpoint."""
-    row = _controller_output_row(TILT_STATES, angle=1, first=TRAVEL_FILTER, pid=travel)
+    row = _controller_output_row(TILT_STATES, TRAVEL, TRAVEL_FILTER, travel)
     row[TRAVEL_INTEGRAL] = travel.ki
-    row[0] -= 1.0
+    row[PITCH] -= 1.0
     return row
 
 

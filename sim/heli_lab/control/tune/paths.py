@@ -38,13 +38,14 @@ def shaped_step(
     for row in rows:
         row[:] = setpoint, step / _TICK_s, smooth_change / _TICK_s**2
         remaining = abs(distance - setpoint)
-        # Near its end, the path approaches the target exponentially; before that, it brakes evenly.
-        fastest = (
+        # Near its end, the path approaches the target exponentially. Before that, it brakes evenly; the half
+        # gives both the same speed where they meet.
+        fastest_step = (
             remaining * _APPROACH_RATE
             if remaining <= approach_distance
             else math.sqrt(2.0 * max_change * (remaining - 0.5 * approach_distance))
         )
-        target_step = math.copysign(min(fastest, max_step), distance - setpoint)
+        target_step = math.copysign(min(fastest_step, max_step), distance - setpoint)
         change = max(-max_change, min(max_change, target_step - step))
         step += change
         setpoint += step
@@ -71,7 +72,8 @@ class _DiscretePlants:
         (times, m).
         """
         count, size = self.transition.shape[:2]
-        blocks = -(-len(inputs) // _BLOCK)
+        blocks = math.ceil(len(inputs) / _BLOCK)
+        # Zeros fill the last block.
         padded = np.zeros((blocks * _BLOCK, inputs.shape[1]))
         padded[: len(inputs)] = inputs
         # Indices: plant p, state n, input m, block b, point k of a block.
@@ -90,6 +92,7 @@ class _DiscretePlants:
             initial[:, :, block] = state[:, :, 0]
             state = powers[_BLOCK] @ state + states[_BLOCK, :, :, block, None]
         states = states[:_BLOCK] + powers[:_BLOCK] @ initial
+        # From the order k, p, n, b to b, k, p, n: points in the order of time.
         return states.transpose(3, 0, 1, 2).reshape(-1, count, size)[: len(inputs)]
 
     def step_response(self, times: int) -> Floats:

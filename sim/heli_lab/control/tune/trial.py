@@ -80,14 +80,16 @@ def try_gains(
 
     with connected(world_of(plant, seed)) as heli:
         heli.params.restore(parameters)
-        heli.wait(0.2)
+        heli.wait(0.2)  # Seconds until a sample has arrived
         sample = heli.latest
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)
         flight, summary = fly_and_read(heli, plan, report)
-    closed_loop_rows = np.flatnonzero(flight.state == State.CLOSED_LOOP)
-    start_s = float(flight.t_s[closed_loop_rows[0]]) if closed_loop_rows.size else float(flight.t_s[0])
-    stop_s = float(flight.t_s[closed_loop_rows[-1]]) if closed_loop_rows.size else start_s
+    # If a fault ended the flight before the take-off, it has no rows in closed loop.
+    closed_loop_s = flight.t_s[flight.state == State.CLOSED_LOOP]
+    start_s = float(closed_loop_s[0]) if closed_loop_s.size else float(flight.t_s[0])
+    stop_s = float(closed_loop_s[-1]) if closed_loop_s.size else start_s
+    # The route is the take-off, then the plan, which begins with the step.
     step_s = start_s + route.duration_s - plan.duration_s
     phases = Phases(
         take_off_s=start_s,
@@ -143,14 +145,26 @@ def flight_metrics(
     elevation_error_deg, _, travel_error_deg = (angles_deg[in_sines] - path_deg(t_s[in_sines])).T
     elevation_count_deg, _, travel_count_deg = np.rad2deg(count_rad(flight)).tolist()
     steps = [
-        step_metrics(t_s[in_step] - phases.step_s, travel[in_step], 0.0, TRAVEL_STEP_DEG, travel_count_deg),
         step_metrics(
-            t_s[in_step_back] - phases.back_s, travel[in_step_back], TRAVEL_STEP_DEG, 0.0, travel_count_deg
-        ),
+            t_s[rows] - begin_s,
+            travel[rows],
+            start_deg=start_deg,
+            end_deg=end_deg,
+            count_deg=travel_count_deg,
+        )
+        for rows, begin_s, start_deg, end_deg in (
+            # Rows, begin, and setpoints before and after the step.
+            (in_step, phases.step_s, 0.0, TRAVEL_STEP_DEG),
+            (in_step_back, phases.back_s, TRAVEL_STEP_DEG, 0.0),
+        )
     ]
-    start_deg = float(elevation[in_take_off][0]) if in_take_off.any() else 0.0
-    since_take_off_s = t_s[in_take_off] - phases.take_off_s
-    take_off = step_metrics(since_take_off_s, elevation[in_take_off], start_deg, 0.0, elevation_count_deg)
+    take_off = step_metrics(
+        t_s[in_take_off] - phases.take_off_s,
+        elevation[in_take_off],
+        start_deg=float(elevation[in_take_off][0]) if in_take_off.any() else 0.0,
+        end_deg=0.0,
+        count_deg=elevation_count_deg,
+    )
     return FlightMetrics(
         outcome=outcome,
         take_off_s=_nan_to_infinite(take_off.settling_s),
@@ -199,7 +213,7 @@ def figure_of_design(design: Design, trials: Sequence[Trial]) -> Figure:
 def _draw_flights(panels: Sequence[Axes], trials: Sequence[Trial]) -> None:
     """Draw angles with their setpoints, and the front motor's voltage, over time."""
     *angle_panels, voltage_panel = panels
-    for trial, colour in zip(trials, _COLOURS, strict=False):
+    for trial, colour in zip(trials, _COLOURS, strict=False):  # There may be more colours than trials
         flight = trial.flight
         angles_deg = np.rad2deg(flight.angles_rad)
         for index, axes in enumerate(angle_panels):
@@ -207,14 +221,13 @@ def _draw_flights(panels: Sequence[Axes], trials: Sequence[Trial]) -> None:
         voltage_panel.plot(flight.t_s, flight.front_V, color=colour, lw=0.5)
     # All flights follow the same setpoints.
     first = trials[0].flight
-    setpoints = (first.elevation_setpoint_rad, None, first.travel_setpoint_rad)
-    for index, setpoint_rad in enumerate(setpoints):
+    no_pitch_setpoint = None  # The travel loop computes another one in each flight
+    setpoints = (first.elevation_setpoint_rad, no_pitch_setpoint, first.travel_setpoint_rad)
+    for axes, axis, setpoint_rad in zip(angle_panels, AXES, setpoints, strict=True):
         if setpoint_rad is not None:
-            label = "setpoint"
-            panels[index].plot(
-                first.t_s, np.rad2deg(setpoint_rad), color=_SETPOINT_COLOUR, lw=0.9, ls="--", label=label
-            )
-        panels[index].set_ylabel(f"{AXES[index]} [deg]")
+            setpoint_deg = np.rad2deg(setpoint_rad)
+            axes.plot(first.t_s, setpoint_deg, color=_SETPOINT_COLOUR, lw=0.9, ls="--", label="setpoint")
+        axes.set_ylabel(f"{axis} [deg]")
     voltage_panel.set_ylabel("front motor [V]")
     voltage_panel.set_xlabel("time since take-off [s]")
     panels[0].legend(loc="lower right", fontsize=_FONT_SIZE)
