@@ -212,11 +212,12 @@ def _slots(body: list[Instruction]) -> frozenset[int | None]:
     functions: dict[str, int] = {}
     for address, mnemonic, operands in body:
         if address in targets:
-            tables, functions = set(), {}
+            tables, functions = set(), {}  # other paths reach this label with other content
         if _goes_to_pointer(mnemonic, operands):
             slots.add(None if hidden_labels else functions.get(operands))
         load = _LOAD.match(operands) if mnemonic in ("ldr", "ldr.w") else None
         slot = int(load[3] or 0) if load and load[2] in tables else None
+        # A call, or an instruction with a list of registers.
         if mnemonic.startswith("bl") or "{" in operands:
             tables, functions = set(), {}
         for register in _REGISTER.findall(operands):
@@ -304,7 +305,7 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
     table_words: dict[str, range] = {}
     for name, kind, address, size in _symbols(elf, cross):
         symbols[name] = address
-        if kind in "tTwW":
+        if kind in "tTwW":  # functions, of which weak ones have the letter w; a Thumb address is odd
             code_at.setdefault(address & ~1, name)
         if name.startswith(_VIRTUAL_TABLE) and size:
             first = (address - FLASH_START) // 4
@@ -327,10 +328,11 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
         for name, function in functions.items()
     }
 
-    image = _flash_content(elf, cross)
-    words = [int.from_bytes(image[at : at + 4], "little") for at in range(0, len(image) - 3, 4)]
+    flash = _flash_content(elf, cross)
+    words = [int.from_bytes(flash[at : at + 4], "little") for at in range(0, len(flash) - 3, 4)]
     in_tables = {index for indices in table_words.values() for index in indices}
     constants |= {word for index, word in enumerate(words) if index >= VECTORS and index not in in_tables}
+    # The address of a function in a constant has its lowest bit set, which marks Thumb code.
     pointed_at = frozenset(
         name
         for name, address in symbols.items()
@@ -341,7 +343,7 @@ def read_image(elf: Path, cross: str = "arm-none-eabi-") -> Image:
         for slot, index in enumerate(indices):
             virtual.setdefault(4 * slot, set()).add(by_address[words[index] & ~1])
     return Image(
-        flash_bytes=len(image),
+        flash_bytes=len(flash),
         ram_bytes=sum(section_sizes.get(section, 0) for section in (".stack", ".data", ".bss")),
         stack_reserved_bytes=section_sizes.get(".stack", 0),
         symbols=symbols,

@@ -30,16 +30,16 @@ def cpp_float(value: float) -> str:
     return repr(float(value)) + "F"
 
 
-def generate_cpp(d: Table) -> str:
+def generate_cpp(declaration: Table) -> str:
     """Return the text of core/link/declaration.hpp."""
     lines = [
-        *_head(d),
-        *_enumerations(d),
-        *_parameter_table(d),
-        *_channel_table(d),
-        *cpp_laws(d),
+        *_head(declaration),
+        *_enumerations(declaration),
+        *_parameter_table(declaration),
+        *_channel_table(declaration),
+        *cpp_laws(declaration),
         "enum class MessageId : std::uint8_t {",
-        *(f"  {message['name']} = {message['id']}," for message in d["message"]),
+        *(f"  {message['name']} = {message['id']}," for message in declaration["message"]),
         "};",
         "",
         "// Floats of a message, which follow each other: byte offset and position of the first, and how many.",
@@ -49,16 +49,16 @@ def generate_cpp(d: Table) -> str:
         "  std::uint8_t count;",
         "};",
         "",
-        *(line for message in d["message"] for line in _message_struct(message)),
+        *(line for message in declaration["message"] for line in _message_struct(message)),
         "}  // namespace heli::link",
         "",
     ]
     return "\n".join(lines)
 
 
-def _head(d: Table) -> list[str]:
+def _head(declaration: Table) -> list[str]:
     """Return the includes and the constants of the link."""
-    link = d["link"]
+    link = declaration["link"]
     link_major, link_minor = (int(part) for part in link["version"].split("."))
     firmware_major, firmware_minor, firmware_patch = (int(part) for part in link["firmware"].split("."))
     return [
@@ -73,8 +73,8 @@ def _head(d: Table) -> list[str]:
         "",
         "namespace heli::link {",
         "",
-        f"inline constexpr std::uint32_t kLinkHash = 0x{link_hash(d):08x}U;",
-        f"inline constexpr std::uint32_t kParamsHash = 0x{params_hash(d):08x}U;",
+        f"inline constexpr std::uint32_t kLinkHash = 0x{link_hash(declaration):08x}U;",
+        f"inline constexpr std::uint32_t kParamsHash = 0x{params_hash(declaration):08x}U;",
         f"inline constexpr std::uint8_t kLinkMajor = {link_major};",
         f"inline constexpr std::uint8_t kLinkMinor = {link_minor};",
         f"inline constexpr std::uint8_t kFirmwareMajor = {firmware_major};",
@@ -89,20 +89,20 @@ def _head(d: Table) -> list[str]:
         "// Distances between the accepted setpoints and these parameters, in degrees.",
         *(
             f"inline constexpr float k{camel(name.removesuffix('_deg'))}Margin_deg = {cpp_float(value)};"
-            for name, value in d["setpoint_margin"].items()
+            for name, value in declaration["setpoint_margin"].items()
         ),
         "",
     ]
 
 
-def _enumerations(d: Table) -> list[str]:
+def _enumerations(declaration: Table) -> list[str]:
     """Return the declared enumerations and sets of bits, and the enumeration of the faults."""
     lines: list[str] = []
-    for name, entries in d["enums"].items():
+    for name, entries in declaration["enums"].items():
         values = [f"  {key} = {entry['value']},  // {entry['meaning']}" for key, entry in rows(entries)]
         lines += [f"// {entries['meaning']}", f"enum class {camel(name)} : std::uint8_t {{", *values, "};"]
         lines += [f"inline constexpr std::size_t k{camel(name)}Count = {len(values)};", ""]
-    for name, entries in d["bits"].items():
+    for name, entries in declaration["bits"].items():
         lines += [f"// {entries['meaning']}", f"namespace {name} {{"]
         lines += [
             f"inline constexpr std::uint8_t {key} = 1U << {entry['bit']}U;  // {entry['meaning']}"
@@ -112,21 +112,21 @@ def _enumerations(d: Table) -> list[str]:
     lines += ["enum class Fault : std::uint8_t {", "  none = 0,"]
     lines += [
         f"  {fault['name']} = {fault['code']},  // {fault['kind']}: {fault['meaning']}"
-        for fault in d["fault"]
+        for fault in declaration["fault"]
     ]
     return [*lines, "};", ""]
 
 
-def _parameter_table(d: Table) -> list[str]:
+def _parameter_table(declaration: Table) -> list[str]:
     """Return the enumeration and the table of the parameters."""
     lines = ["enum class Param : std::uint8_t {"]
     lines += [
         f"  {param['name']} = {index},  // {param['unit']}: {param['meaning']}"
-        for index, param in enumerate(d["param"])
+        for index, param in enumerate(declaration["param"])
     ]
     lines += [
         "};",
-        f"inline constexpr std::size_t kParamCount = {len(d['param'])};",
+        f"inline constexpr std::size_t kParamCount = {len(declaration['param'])};",
         "",
         "struct ParamInfo {",
         "  float min;",
@@ -139,7 +139,7 @@ def _parameter_table(d: Table) -> list[str]:
         "};",
         "inline constexpr ParamInfo kParams[kParamCount] = {",
     ]
-    for param in d["param"]:
+    for param in declaration["param"]:
         flags = [param.get("nonzero", False), param.get("integer", False), param["when"] == "idle"]
         literals = [cpp_float(param[key]) for key in ("min", "max", "default")]
         literals += [str(flag).lower() for flag in flags]
@@ -148,20 +148,20 @@ def _parameter_table(d: Table) -> list[str]:
     return [*lines, "};", ""]
 
 
-def _channel_table(d: Table) -> list[str]:
+def _channel_table(declaration: Table) -> list[str]:
     """Return the enumeration of the telemetry channels, their sizes and their scales."""
     lines = ["enum class Channel : std::uint8_t {"]
     lines += [
         f"  {channel['name']} = {index},  // {channel['unit']}: {channel['meaning']}"
-        for index, channel in enumerate(d["channel"])
+        for index, channel in enumerate(declaration["channel"])
     ]
-    sizes = ", ".join(str(size_of(channel["type"])) for channel in d["channel"])
+    sizes = ", ".join(str(size_of(channel["type"])) for channel in declaration["channel"])
     lines += [
         "};",
-        f"inline constexpr std::size_t kChannelCount = {len(d['channel'])};",
+        f"inline constexpr std::size_t kChannelCount = {len(declaration['channel'])};",
         f"inline constexpr std::uint8_t kChannelBytes[kChannelCount] = {{{sizes}}};",
     ]
-    for channel in d["channel"]:
+    for channel in declaration["channel"]:
         if channel["scale"] != 1.0:
             raw_per_unit = cpp_float(round(1 / channel["scale"], 6))
             lines.append(
@@ -182,7 +182,7 @@ def _message_struct(message: Table) -> list[str]:
         f"  {CPP_TYPE[field['type']]} {field['name']} = {{}};  // {field['unit'] or '-'}" for field in fields
     ]
     offsets = [sum(size_of(field["type"]) for field in fields[:index]) for index in range(len(fields))]
-    if message["kind"] in ("command", "stream"):
+    if message["kind"] in ("command", "stream"):  # the board checks their floats together
         floats = [index for index, field in enumerate(fields) if field["type"] == "f32"]
         first = floats[0] if floats else 0
         lines.append(f"  static constexpr Floats kFloats = {{{offsets[first]}, {first}, {len(floats)}}};")

@@ -299,16 +299,16 @@ def check_axes(declaration: Table) -> None:
             raise DeclarationError(f"enum axis: {name} has no parameter {name}_counts_per_rev; add it")
 
 
-def check_laws(d: Table) -> None:
+def check_laws(declaration: Table) -> None:
     """Raise DeclarationError for the first problem in the declaration of uploaded laws."""
-    if set(d["law"]) != set(LAW_LIMITS):
+    if set(declaration["law"]) != set(LAW_LIMITS):
         raise DeclarationError(f"law: needs {', '.join(LAW_LIMITS)}, and nothing else")
-    if d["law"]["cells"] > MAX_CELLS:
+    if declaration["law"]["cells"] > MAX_CELLS:
         raise DeclarationError(f"law: an instruction can name {MAX_CELLS} cells at most")
-    if [entry["code"] for entry in d["operation"]] != [*range(len(d["operation"]))]:
+    if [entry["code"] for entry in declaration["operation"]] != [*range(len(declaration["operation"]))]:
         raise DeclarationError("operation: codes count from 0, in order")
-    if len(d["operation"]) > MAX_OPERATIONS:
+    if len(declaration["operation"]) > MAX_OPERATIONS:
         raise DeclarationError(f"operation: an instruction can name {MAX_OPERATIONS} at most")
-    for entry in d["operation"]:
+    for entry in declaration["operation"]:
         if entry["operands"] not in (0, 1, 2):
             raise DeclarationError(f"operation {entry['name']}: 0 (terms follow), 1 or 2 operands")

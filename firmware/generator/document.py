@@ -99,14 +99,14 @@ def markdown_table(header: list[str], body: list[list[str]]) -> list[str]:
     ]
 
 
-def generate_doc(d: Table) -> str:
+def generate_doc(declaration: Table) -> str:
     """Return the text of docs/reference/link.md."""
-    declared = d["channel"]
+    all_channels = declaration["channel"]
     text = FRAMING.format(
-        hash=link_hash(d),
-        nibble_bytes=(len(declared) + 1) // 2,
-        base_bytes=sum(size_of(c["type"]) for c in declared),
-        **d["link"],
+        hash=link_hash(declaration),
+        nibble_bytes=(len(all_channels) + 1) // 2,  # two channels per byte
+        base_bytes=sum(size_of(channel["type"]) for channel in all_channels),
+        **declaration["link"],
     )
     out = [
         text,
@@ -114,48 +114,55 @@ def generate_doc(d: Table) -> str:
             ["channel", "base", "unit", "scale", "in samples and tables", "in logs", "meaning"],
             [
                 [
-                    f"`{c['name']}`",
-                    c["type"],
-                    c["unit"],
-                    f"{c['scale']:g}",
-                    f"`{channels.column(c)}`",
-                    ", ".join(f"`{name}`" for name in channels.fields(c)),
-                    c["meaning"],
+                    f"`{channel['name']}`",
+                    channel["type"],
+                    channel["unit"],
+                    f"{channel['scale']:g}",
+                    f"`{channels.column(channel)}`",
+                    ", ".join(f"`{name}`" for name in channels.fields(channel)),
+                    channel["meaning"],
                 ]
-                for c in declared
+                for channel in all_channels
             ],
         ),
     ]
-    out += document_laws(d)
+    out += document_laws(declaration)
     out.append("## Messages\n")
-    for m in d["message"]:
-        reply = f", answered by `{m['reply']}`" if m["kind"] == "command" else ""
-        frozen = ", layout frozen for ever" if m.get("frozen") else ""
-        out.append(f"### {m['id']} `{m['name']}` ({m['kind']}{reply}{frozen})\n\n{m['meaning']}\n")
-        table = []
-        offset = 0
-        for f in full_fields(m):
-            table.append([str(offset), f"`{f['name']}`", f["type"], f["unit"], f["meaning"]])
-            offset += size_of(f["type"])
-        if m.get("array"):
-            table.append([str(offset), "values", m["array"] + "[]", "", "the array"])
-        if table:
-            out += markdown_table(["offset", "field", "type", "unit", "meaning"], table)
-    for name, entries in d["enums"].items():
+    for message in declaration["message"]:
+        out += _message_section(message)
+    for name, entries in declaration["enums"].items():
         out.append(f"## {name}\n\n{entries['meaning']}\n")
-        table = [[str(e["value"]), f"`{k}`", e["meaning"]] for k, e in rows(entries)]
+        table = [[str(entry["value"]), f"`{key}`", entry["meaning"]] for key, entry in rows(entries)]
         out += markdown_table(["value", "name", "meaning"], table)
-    for name, entries in d["bits"].items():
+    for name, entries in declaration["bits"].items():
         out.append(f"## {name} (bits)\n\n{entries['meaning']}\n")
-        table = [[str(e["bit"]), f"`{k}`", e["meaning"]] for k, e in rows(entries)]
+        table = [[str(entry["bit"]), f"`{key}`", entry["meaning"]] for key, entry in rows(entries)]
         out += markdown_table(["bit", "name", "meaning"], table)
     out.append("See also [Faults](faults.md) and [Parameters](parameters.md).")
     return "\n".join(out).rstrip("\n") + "\n"
 
 
-def generate_faults(d: Table) -> str:
+def _message_section(message: Table) -> list[str]:
+    """Return the head of a message and the table of its fields, if it has any."""
+    reply = f", answered by `{message['reply']}`" if message["kind"] == "command" else ""
+    frozen = ", layout frozen for ever" if message.get("frozen") else ""
+    kind = f"{message['kind']}{reply}{frozen}"
+    section = [f"### {message['id']} `{message['name']}` ({kind})\n\n{message['meaning']}\n"]
+    table = []
+    offset = 0
+    for field in full_fields(message):
+        table.append([str(offset), f"`{field['name']}`", field["type"], field["unit"], field["meaning"]])
+        offset += size_of(field["type"])
+    if message.get("array"):
+        table.append([str(offset), "values", message["array"] + "[]", "", "the array"])
+    if table:
+        section += markdown_table(["offset", "field", "type", "unit", "meaning"], table)
+    return section
+
+
+def generate_faults(declaration: Table) -> str:
     """Return the text of docs/reference/faults.md."""
-    kinds = {f["kind"] for f in d["fault"]}
+    kinds = {f["kind"] for f in declaration["fault"]}
     out = [
         FAULTS,
         *(f"- `{kind}`: {meaning}" for kind, meaning in FAULT_KINDS.items() if kind in kinds),
@@ -171,14 +178,14 @@ def generate_faults(d: Table) -> str:
                     f["meaning"],
                     f["remedy"],
                 ]
-                for f in d["fault"]
+                for f in declaration["fault"]
             ],
         ),
     ]
     return "\n".join(out).rstrip("\n") + "\n"
 
 
-def generate_parameters(d: Table) -> str:
+def generate_parameters(declaration: Table) -> str:
     """Return the text of docs/reference/parameters.md."""
     out = [
         PARAMETERS,
@@ -193,7 +200,7 @@ def generate_parameters(d: Table) -> str:
                     p["when"],
                     p["meaning"],
                 ]
-                for i, p in enumerate(d["param"])
+                for i, p in enumerate(declaration["param"])
             ],
         ),
     ]

@@ -7,20 +7,26 @@ import json
 from firmware.generator.declared import LAW_LIMITS, Table, camel
 
 
-def cpp_laws(d: Table) -> list[str]:
+def cpp_laws(declaration: Table) -> list[str]:
     """Return the part of declaration.hpp about uploaded laws."""
     out = ["// Laws that come over the link."]
-    out += [f"inline constexpr std::uint32_t kLaw{camel(name)} = {d['law'][name]};" for name in LAW_LIMITS]
+    out += [
+        f"inline constexpr std::uint32_t kLaw{camel(name)} = {declaration['law'][name]};"
+        for name in LAW_LIMITS
+    ]
     out += ["enum class LawInput : std::uint8_t {"]
     out += [
-        f"  {entry['name']} = {index},  // {entry['meaning']}" for index, entry in enumerate(d["law_input"])
+        f"  {entry['name']} = {index},  // {entry['meaning']}"
+        for index, entry in enumerate(declaration["law_input"])
     ]
-    out += ["};", f"inline constexpr std::size_t kLawInputCount = {len(d['law_input'])};"]
+    out += ["};", f"inline constexpr std::size_t kLawInputCount = {len(declaration['law_input'])};"]
     out += ["enum class Operation : std::uint8_t {"]
-    out += [f"  {entry['name']} = {entry['code']},  // {entry['meaning']}" for entry in d["operation"]]
-    costs = ", ".join(str(entry["cost"]) for entry in d["operation"])
-    binary = sum(1 << entry["code"] for entry in d["operation"] if entry["operands"] == 2)
-    count = len(d["operation"])
+    out += [
+        f"  {entry['name']} = {entry['code']},  // {entry['meaning']}" for entry in declaration["operation"]
+    ]
+    costs = ", ".join(str(entry["cost"]) for entry in declaration["operation"])
+    binary = sum(1 << entry["code"] for entry in declaration["operation"] if entry["operands"] == 2)
+    count = len(declaration["operation"])
     return [
         *out, "};", f"inline constexpr std::size_t kOperationCount = {count};",
         f"inline constexpr std::uint16_t kOperationCost[kOperationCount] = {{{costs}}};",
@@ -29,10 +35,10 @@ def cpp_laws(d: Table) -> list[str]:
     ]  # fmt: skip
 
 
-def python_laws(d: Table) -> list[str]:
+def python_laws(declaration: Table) -> list[str]:
     """Return the part of declaration.py about uploaded laws."""
-    out = [f"LAW_{name.upper()} = {d['law'][name]}" for name in LAW_LIMITS]
-    inputs = [json.dumps(entry["name"]) for entry in d["law_input"]]
+    out = [f"LAW_{name.upper()} = {declaration['law'][name]}" for name in LAW_LIMITS]
+    inputs = [json.dumps(entry["name"]) for entry in declaration["law_input"]]
     out += ["LAW_INPUTS: tuple[str, ...] = (", *(f"    {name}," for name in inputs), ")"]
     out += ['"""Inputs of a law, in the order of its cells."""', "", ""]
     out += [
@@ -49,7 +55,7 @@ def python_laws(d: Table) -> list[str]:
         "",
         "OPERATIONS: tuple[OperationSpec, ...] = (",
     ]
-    for entry in d["operation"]:
+    for entry in declaration["operation"]:
         values = (entry["name"], entry["code"], entry["operands"], entry["cost"], entry["meaning"])
         out.append(
             f"    OperationSpec({', '.join(json.dumps(value, ensure_ascii=False) for value in values)}),"
@@ -110,15 +116,16 @@ outputs act from the last tick on.
 """
 
 
-def document_laws(d: Table) -> list[str]:
+def document_laws(declaration: Table) -> list[str]:
     """Return the part of docs/reference/link.md about uploaded laws."""
-    out = [DOCUMENT.format(inputs=len(d["law_input"]), **d["law"])]
+    out = [DOCUMENT.format(inputs=len(declaration["law_input"]), **declaration["law"])]
     out += ["| cell | input | meaning |", "|---|---|---|"]
     out += [
-        f"| {index} | `{entry['name']}` | {entry['meaning']} |" for index, entry in enumerate(d["law_input"])
+        f"| {index} | `{entry['name']}` | {entry['meaning']} |"
+        for index, entry in enumerate(declaration["law_input"])
     ]
     out += ["", "| code | operation | operands | cost | gives |", "|---|---|---|---|---|"]
-    for entry in d["operation"]:
+    for entry in declaration["operation"]:
         meaning = entry["meaning"].replace("|", "\\|")
         out.append(
             f"| {entry['code']} | `{entry['name']}` | {entry['operands']} | {entry['cost']} | {meaning} |"

@@ -85,27 +85,27 @@ def arrays_class(declared: list[Table]) -> list[str]:
     return [*out, *(f"    {channels.column(c)}: NDArray[np.{dtype(c)}]" for c in declared), ""]
 
 
-def generate_python(d: Table) -> str:
+def generate_python(declaration: Table) -> str:
     """Return the text of host/heli_host/declaration.py."""
     lines = [
-        *_head(d),
+        *_head(declaration),
         *_BASES.split("\n"),
-        *_enumerations(d),
+        *_enumerations(declaration),
         *_SPEC_CLASSES.split("\n"),
-        *_parameter_table(d),
-        *_fault_table(d),
-        *_channel_table(d),
-        *values_class(d["channel"]),
-        *arrays_class(d["channel"]),
-        *python_laws(d),
-        *(line for message in d["message"] for line in _message_class(message)),
+        *_parameter_table(declaration),
+        *_fault_table(declaration),
+        *_channel_table(declaration),
+        *values_class(declaration["channel"]),
+        *arrays_class(declaration["channel"]),
+        *python_laws(declaration),
+        *(line for message in declaration["message"] for line in _message_class(message)),
     ]
     return "\n".join(lines)
 
 
-def _head(d: Table) -> list[str]:
+def _head(declaration: Table) -> list[str]:
     """Return the module docstring, the imports and the constants of the link."""
-    link = d["link"]
+    link = declaration["link"]
     return [
         '"""Messages, channels, parameters and faults of the link.',
         "",
@@ -123,8 +123,8 @@ def _head(d: Table) -> list[str]:
         "    import numpy as np",
         "    from numpy.typing import NDArray",
         "",
-        f"LINK_HASH = 0x{link_hash(d):08X}",
-        f"PARAMS_HASH = 0x{params_hash(d):08X}",
+        f"LINK_HASH = 0x{link_hash(declaration):08X}",
+        f"PARAMS_HASH = 0x{params_hash(declaration):08X}",
         f'LINK_VERSION = "{link["version"]}"',
         f'FIRMWARE_VERSION = "{link["firmware"]}"',
         f"PROTOCOL = {link['protocol']}",
@@ -133,26 +133,30 @@ def _head(d: Table) -> list[str]:
         f"MAX_COMMAND_PAYLOAD = {link['max_command_payload']}",
         f"MAX_TELEMETRY_PAYLOAD = {link['max_telemetry_payload']}",
         "",
-        f"SETPOINT_MARGIN_DEG = {json.dumps(d['setpoint_margin'])}",
+        f"SETPOINT_MARGIN_DEG = {json.dumps(declaration['setpoint_margin'])}",
         '"""Distances between the setpoints that the board accepts and these parameters, in degrees."""',
         "",
     ]
 
 
-def _enumerations(d: Table) -> list[str]:
+def _enumerations(declaration: Table) -> list[str]:
     """Return the declared enumerations, and those of the rows of each table."""
     lines: list[str] = []
-    for name, entries in d["enums"].items():
+    for name, entries in declaration["enums"].items():
         lines += enum_class(camel(name), "Name", entries["meaning"], values_of(entries, "value"))
-    for name, entries in d["bits"].items():
+    for name, entries in declaration["bits"].items():
         lines += enum_class(camel(name), "IntFlag", entries["meaning"], values_of(entries, "bit"))
-    faults = [(fault["name"], fault["code"], fault["meaning"]) for fault in d["fault"]]
+    faults = [(fault["name"], fault["code"], fault["meaning"]) for fault in declaration["fault"]]
     lines += enum_class("Fault", "Name", "Fault codes.", [("none", 0, "no fault"), *faults])
-    lines += enum_class("Param", "Name", "Position of each parameter in the table.", positions(d["param"]))
-    lines += enum_class("Channel", "Name", "Position of each telemetry channel.", positions(d["channel"]))
-    ids = [(message["name"], message["id"], message["meaning"]) for message in d["message"]]
+    lines += enum_class(
+        "Param", "Name", "Position of each parameter in the table.", positions(declaration["param"])
+    )
+    lines += enum_class(
+        "Channel", "Name", "Position of each telemetry channel.", positions(declaration["channel"])
+    )
+    ids = [(message["name"], message["id"], message["meaning"]) for message in declaration["message"]]
     lines += enum_class("MessageId", "Name", "Second byte of a frame.", ids)
-    names = ", ".join(json.dumps(axis) for axis in axes(d))
+    names = ", ".join(json.dumps(axis) for axis in axes(declaration))
     return [
         *lines,
         "",
@@ -237,10 +241,10 @@ class ChannelSpec:
 """Classes for the rows of the tables of parameters, faults and channels."""
 
 
-def _parameter_table(d: Table) -> list[str]:
+def _parameter_table(declaration: Table) -> list[str]:
     """Return the table of parameters."""
     lines = ["PARAMS: tuple[ParamSpec, ...] = ("]
-    for index, param in enumerate(d["param"]):
+    for index, param in enumerate(declaration["param"]):
         values = [index, param["name"], param["unit"]]
         values += [float(param["min"]), float(param["max"]), float(param["default"])]
         values += [param.get("nonzero", False), param.get("integer", False), param["when"] == "idle"]
@@ -249,20 +253,20 @@ def _parameter_table(d: Table) -> list[str]:
     return [*lines, ")", ""]
 
 
-def _fault_table(d: Table) -> list[str]:
+def _fault_table(declaration: Table) -> list[str]:
     """Return the table of faults."""
     lines = ["FAULTS: tuple[FaultSpec, ...] = ("]
-    for fault in d["fault"]:
+    for fault in declaration["fault"]:
         values = [fault["code"], fault["name"], fault["kind"]]
         values += [fault.get("parameter"), fault["meaning"], fault["remedy"]]
         lines.append(f"    FaultSpec({', '.join(json_or_bool(value) for value in values)}),")
     return [*lines, ")", ""]
 
 
-def _channel_table(d: Table) -> list[str]:
+def _channel_table(declaration: Table) -> list[str]:
     """Return the table of telemetry channels."""
     lines = ["CHANNELS: tuple[ChannelSpec, ...] = ("]
-    for channel in d["channel"]:
+    for channel in declaration["channel"]:
         axis, kind = channels.axis_of(channel), channels.numbers_of(channel)
         values = [channel["name"], "<" + STRUCT_CODE[channel["type"]], channel["unit"]]
         values += [float(channel["scale"]), channels.column(channel), channels.field(channel)]

@@ -87,8 +87,10 @@ def _write_wiring(path: Path) -> None:
 def main() -> int:
     """Run PlatformIO in the prepared directory."""
     arguments = sys.argv[1:]
-    pins = Path(arguments[1]) if arguments[:1] == ["--pins"] and len(arguments) > 1 else None
-    arguments = (arguments[2:] if pins else arguments) or ["run", "-e", "due"]
+    pins: Path | None = None
+    if arguments[:1] == ["--pins"] and len(arguments) > 1:
+        pins, arguments = Path(arguments[1]), arguments[2:]
+    arguments = arguments or ["run", "-e", "due"]  # otherwise all arguments are PlatformIO's
     if pins is not None:
         try:
             _write_wiring(pins)
