@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     figure = options.json.with_suffix(".png")
     draw(reliability(rows), figure)
     print(f"\n{options.json} has the results, {figure} the calibration")
-    return 0 if len(rows) == len(cases) else 1
+    return 0 if len(rows) == len(cases) else 1  # a failed case has no row
 
 
 def _alternate_clean_and_disturbed() -> list[Case]:
@@ -114,7 +114,8 @@ def _run_cases(cases: Sequence[Case], options: argparse.Namespace) -> Iterator[_
     }
     store, code = Store(folder / "campaign"), code_of_rows()
     keys = {case.key(code): case.name for case in campaign_cases.values()}
-    # An earlier result is used only if the same code made it.
+    # An earlier result is used only if the same code made it. With --keep, each case is run again: it then
+    # reads the files of its earlier run, whatever code made them.
     is_repeated = (lambda _: True) if options.keep else (lambda result: bool(result.failure))
     stored = {} if options.keep else store.read(keys)
     for result in stored.values():

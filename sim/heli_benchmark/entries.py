@@ -120,7 +120,7 @@ class RunLimits:
 def run_case(
     method: MethodAddress, case: str, resources: Path | None, limits: RunLimits, file: Path
 ) -> dict[str, Any]:
-    """Run a method on a case in a process, and return its result."""
+    """Run a method on the folder of a case in a process, and return its result; the case "-" trains it."""
     resources_text = "-" if resources is None else str(resources.resolve())
     command = [
         sys.executable,
@@ -175,7 +175,9 @@ def run_method(
 ) -> None:
     """Run a method on the cases of a split that have no result yet."""
     # `distribute`: Runs the cases on other machines, such as those of a cluster, and yields the name and the
-    # result of each. They must see the folders of split, method and resources under the same paths.
+    # result of each. They must see the folders of split, method and resources under the same paths. Without
+    # it, the cases run here, on `workers` processes. With `resources`, the method is trained first. `say`
+    # takes the name and the failure of each case.
     limits = limits or RunLimits()
     method = find_method(text)
     _check_folder(split, method, text, folder, limits)

@@ -70,7 +70,7 @@ _MAX_RATE_deg_s = 19.9
 def plan(name: str, duration_s: float, rng: np.random.Generator) -> Plan:
     """Write a plan that excites each axis, different in each case."""
     corners_s = 22.0
-    # 6 s remain for the start and the hold.
+    # 6 s remain for the start and the hold of `_TEXT`.
     sines_s = duration_s - corners_s - 6.0
     travel_deg = rng.uniform(25, 45)
     travel_s = max(round(rng.uniform(0.6, 0.75) * travel_deg, 1), _MIN_PERIOD_s_per_deg * round(travel_deg))
@@ -123,6 +123,8 @@ def flown(rig: Rig, hidden: Sequence[HiddenEffect], course: Plan, seed: int) -> 
 
 
 CONTROLLERS = ("cascade", "state_feedback", "soft")
+_ELEVATION_AND_TRAVEL = [0, 2]
+"""Indices of the angles that follow the reference."""
 _PWM_STEPS = 2100
 """Steps of a driver that switches at 20 kHz; the voltages of a log are multiples of one."""
 _FILTER_s = 0.03
@@ -153,7 +155,7 @@ def tracked(
 ) -> Flight:
     """Fly a route from a hover, by a controller that knows the nominal rig."""
     plant = MujocoPlant(rig, hidden)
-    step_s, ticks = 1.0 / rate_Hz, 1000 // rate_Hz
+    step_s, milliseconds_per_step = 1.0 / rate_Hz, 1000 // rate_Hz
     times_s: Floats = step_s * np.arange(round(route.duration_s * rate_Hz), dtype=np.float64)
     reference_rad = _reference_motion(route, times_s, rng)
     excitation_V = route.excitation_V * _multisine(times_s, rng)
@@ -165,12 +167,12 @@ def tracked(
     # The encoders count from 0 at power-up, so the controller takes the first angles for level.
     power_up_rad = state[:3].copy()
     encoder_rad = plant.encoder_angles_rad(state[:3])
-    rows: Floats = np.empty((len(times_s), 5))
+    rows: Floats = np.empty((len(times_s), 5))  # Both voltages, then the three angles
     for k in range(len(times_s)):
         angles = np.round((encoder_rad - power_up_rad) / counts_rad) * counts_rad
         volts = pilot.volts(angles, reference_rad[k], excitation_V[k])
         rows[k] = (*volts, *angles)
-        for _ in range(ticks):
+        for _ in range(milliseconds_per_step):
             after, measured = plant.millisecond(state.tolist(), volts.tolist())
             state, encoder_rad = np.array(after), np.array(measured)
         if abs(state[1]) > _MAX_PITCH_rad or abs(state[0]) > _MAX_ELEVATION_rad:
@@ -196,14 +198,15 @@ class _Pilot:
         self._travel_rad_s2_per_rad = weight_Nm / inertia_e
         self._lowest_V = -v["supply"] if v["reverse_thrust"] else 0.0
         self._highest_V = v["supply"]
+        # A rig without a switching driver has an analog amplifier; 1 µV is as good as continuous.
         self._voltage_step_V = v["supply"] / _PWM_STEPS if v["driver_dead_band"] else 1e-6
         self._step_s = step_s
-        soft = 0.7 if controller == "soft" else 1.0
-        self._elevation_gains = _elevation_controller_gains(controller, soft * rng.uniform(1.6, 2.6))
+        speed_factor = 0.7 if controller == "soft" else 1.0
+        self._elevation_gains = _elevation_controller_gains(controller, speed_factor * rng.uniform(1.6, 2.6))
         self._pitch_gains, self._travel_gains = _pitch_and_travel_controller_gains(
             controller,
             self._travel_rad_s2_per_rad,
-            pitch_rad_s=soft * rng.uniform(2.4, 3.4),
+            pitch_rad_s=speed_factor * rng.uniform(2.4, 3.4),
             travel_rad_s=rng.uniform(0.5, 0.8),
         )
         self._previous_rad: Floats | None = None
@@ -217,18 +220,19 @@ class _Pilot:
         """
         previous_rad = angles if self._previous_rad is None else self._previous_rad
         self._previous_rad = angles
-        share = self._step_s / (_FILTER_s + self._step_s)
-        self._rates = self._rates + share * ((angles - previous_rad) / self._step_s - self._rates)
+        newest_share = self._step_s / (_FILTER_s + self._step_s)
+        self._rates = self._rates + newest_share * ((angles - previous_rad) / self._step_s - self._rates)
         previous_reference_rad = (
             reference_rad if self._previous_reference_rad is None else self._previous_reference_rad
         )
         self._previous_reference_rad = reference_rad
-        speed = (reference_rad - previous_reference_rad) / self._step_s
+        reference_rad_s = (reference_rad - previous_reference_rad) / self._step_s
         # Elevation and travel follow the reference; pitch follows the controller of travel.
         _, pitch_rad, _ = angles
         _, pitch_rad_s, _ = self._rates
-        error_rad = reference_rad - angles[[0, 2]]
-        rate_error = speed - self._rates[[0, 2]]
+        error_rad = reference_rad - angles[_ELEVATION_AND_TRAVEL]
+        rate_error = reference_rad_s - self._rates[_ELEVATION_AND_TRAVEL]
+        # The integrals are limited, so that they do not grow while a voltage is at its limit.
         self._error_integrals = np.clip(self._error_integrals + error_rad * self._step_s, -1.0, 1.0)
         elevation_errors, travel_errors = np.stack((error_rad, rate_error, self._error_integrals), axis=1)
         elevation_rad_s2 = float(self._elevation_gains @ elevation_errors)
@@ -289,6 +293,7 @@ def _reference_motion(route: Route, times_s: Floats, rng: np.random.Generator) -
     for column, (most_deg, slowness) in enumerate(((route.elevation_deg, 1.0), (route.travel_deg, 2.0))):
         most_rad = np.deg2rad(most_deg)
         if route.sines:
+            # A large slow sine and a small fast one.
             periods_s = slowness * rng.uniform(8.0, 14.0) / np.array([1.0, 1.7])
             phases = rng.uniform(-np.pi, np.pi, 2)
             sizes = most_rad * np.array([0.75, 0.25])

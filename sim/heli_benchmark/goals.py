@@ -25,10 +25,9 @@ def reliability(rows: Sequence[Row]) -> list[dict[str, float]]:
     causes = [cause for row in rows for cause in row.answers]
     curve = []
     for low, high in pairwise(BINS):
-        # The last bin includes its upper end.
-        in_bin = [
-            cause for cause in causes if low <= cause.confidence < high or cause.confidence == high == 1.0
-        ]
+        # The last bin includes its upper end, 1.
+        end = np.inf if high == 1.0 else high
+        in_bin = [cause for cause in causes if low <= cause.confidence < end]
         cause_count, hidden_count = len(in_bin), sum(cause.is_hidden for cause in in_bin)
         mean = sum(cause.confidence for cause in in_bin) / cause_count if cause_count else 0.5 * (low + high)
         curve.append(

@@ -210,7 +210,7 @@ def judge(
     cpu_seconds: float = 0.0,
     disturbances: Mapping[str, Any] | None = None,
 ) -> Row:
-    """Judge a diagnosis."""
+    """Judge a diagnosis; `disturbances` are those of a disturbed case."""
     if result is None:
         result = {"verdict": "failed", "causes": [], "residual": {"normalised": {}}}
     # The numbers are null if nothing was excited.

@@ -205,7 +205,7 @@ _COLUMNS: Final = (
     ("equation_correlation", "equation correlation", "{:.2f}"),
     ("calibration_error", "calibration error", "{:.2f}"),
 )
-_LEAST: Final = -1.0
+_LOWEST_DRAWN_SKILL: Final = -1.0
 """Lowest skill that is drawn to scale; an arrow and a number show a lower one."""
 _PANELS: Final = (
     ("skill", "skill (truth known: 1)"),
@@ -260,21 +260,24 @@ def draw_comparison(summary: Mapping[str, Any], path: Path) -> None:
         for row, name in enumerate(names):
             score = summary["methods"][name][key]
             if score["value"] is None:
-                continue
+                continue  # no case of the split has this score
             colour = "tab:blue" if name == "ours" else "0.35"
             axis.plot([score["low"], score["high"]], [row, row], color=colour, linewidth=2.0)
-            if score["value"] < _LEAST:
-                axis.plot(_LEAST, row, "<", color=colour)
-                axis.text(_LEAST + 0.1, row, f"{score['value']:.1f}", color=colour, va="center", fontsize=9)
+            if score["value"] < _LOWEST_DRAWN_SKILL:  # the other scores are shares, never below 0
+                axis.plot(_LOWEST_DRAWN_SKILL, row, "<", color=colour)
+                text_x = _LOWEST_DRAWN_SKILL + 0.1  # right of the arrow
+                axis.text(text_x, row, f"{score['value']:.1f}", color=colour, va="center", fontsize=9)
             else:
                 axis.plot(score["value"], row, "o", color=colour)
         axis.set_title(title, fontsize=10)
         axis.grid(axis="x", color="0.9")
         axis.set_axisbelow(True)
-    axes[0].axvline(0.0, color="0.6", linewidth=1.0)
-    axes[0].set_xlim(_LEAST - 0.08, 1.08)
-    axes[0].set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
-    for axis in axes[1:]:
+    skill_axis, *share_axes = axes
+    skill_axis.axvline(0.0, color="0.6", linewidth=1.0)  # the skill of the base rates
+    # All limits leave a margin for the markers at the ends.
+    skill_axis.set_xlim(_LOWEST_DRAWN_SKILL - 0.08, 1.08)
+    skill_axis.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+    for axis in share_axes:
         axis.set_xlim(-0.04, 1.04)
     figure.tight_layout()
     save_figure(figure, path, dpi=110)

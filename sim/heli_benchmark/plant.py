@@ -23,7 +23,9 @@ _POINT = 'diaginertia="1e-12 1e-12 1e-12"'
 
 
 def mujoco_rig(rig: Rig, *, step_s: float = 0.001, hung: str = "") -> Any:
-    """Build a MuJoCo model with the masses of the rig as bodies and its axes as joints."""
+    """Build a MuJoCo model with the masses of the rig as bodies and its axes as joints; `hung` is the XML of
+    further bodies on the long arm.
+    """
     import mujoco
 
     v = {name: rig[name].value for name in rig}
@@ -144,16 +146,17 @@ class MujocoPlant:
         for effect in self.hidden:
             effect.configure(self.physics)
         self.data = mujoco.MjData(self.physics)
-        self._q = np.array([self.physics.joint(name).qposadr[0] for name in JOINTS])
-        self._v = np.array([self.physics.joint(name).dofadr[0] for name in JOINTS])
+        # Where MuJoCo's vectors have the angle and the rate of each joint.
+        self._angle_rows = np.array([self.physics.joint(name).qposadr[0] for name in JOINTS])
+        self._rate_rows = np.array([self.physics.joint(name).dofadr[0] for name in JOINTS])
         self._sites = [self.physics.site(name).id for name in ("front", "back")]
         # Views of MuJoCo's memory: to look each up again in every step took a third of a flight's time.
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
         self._applied_Nm = self.data.qfrc_applied
         self._up = self.data.xmat[self.physics.body("body").id].reshape(3, 3)[:, 2]
-        self._velocity = np.zeros(6)
+        self._velocity = np.zeros(6)  # MuJoCo writes the angular velocity first, then the linear one
         self._speed_m_s = self._velocity[3:]
-        self.parameters: Floats = np.zeros(1)
+        self.parameters: Floats = np.zeros(1)  # SilWorld passes them on; no member here reads them
         self._rest = np.array([np.deg2rad(rig["elevation_min"].value), 0.0, 0.0, 0.0, 0.0, 0.0])
         for effect in self.hidden:
             effect.rest(self._rest)
@@ -178,7 +181,7 @@ class MujocoPlant:
         """Return the torques that hold the level arm still with its motors off, shape (3,)."""
         self.data.qpos[:], self.data.qvel[:] = 0.0, 0.0
         mujoco.mj_forward(self.physics, self.data)
-        return np.asarray(self.data.qfrc_bias[self._v])
+        return np.asarray(self.data.qfrc_bias[self._rate_rows])
 
     def native_step(self) -> _native.PlantStep:
         """Return `millisecond` as a step that the world calls."""
@@ -189,7 +192,7 @@ class MujocoPlant:
     ) -> tuple[list[float], list[float]]:
         """Simulate one millisecond."""
         volts = np.array(volts_V)
-        self._qpos[self._q], self._qvel[self._v] = state[:3], state[3:]
+        self._qpos[self._angle_rows], self._qvel[self._rate_rows] = state[:3], state[3:]
         # The masses in Table 2 of the paper would lift the arm from the table with the motors off, so the
         # arm is held down until the motors run.
         self._is_released = self._is_released or bool(volts.any())
@@ -197,7 +200,7 @@ class MujocoPlant:
             for _ in range(2):
                 self._simulate_step(volts)
         self._time_s += 0.001
-        angles, rates = self._qpos.take(self._q), self._qvel.take(self._v)
+        angles, rates = self._qpos.take(self._angle_rows), self._qvel.take(self._rate_rows)
         # On the table, elevation stops, and pitch and travel lose 1 % of their rates per millisecond.
         if angles[0] <= self._lowest_rad:
             angles[0], rates = self._lowest_rad, rates * np.array([0.0, 0.99, 0.99])
@@ -225,11 +228,11 @@ class MujocoPlant:
         `angles_rad, rates_rad_s` (3,), `thrust_N` (2,), `torque_Nm` (3,).
         """
         data = self.data
-        data.qpos[self._q], data.qvel[self._v] = angles_rad, rates_rad_s
+        data.qpos[self._angle_rows], data.qvel[self._rate_rows] = angles_rad, rates_rad_s
         data.ctrl[:] = thrust_N
-        data.qfrc_applied[self._v] = torque_Nm
+        data.qfrc_applied[self._rate_rows] = torque_Nm
         mujoco.mj_forward(self.physics, data)
-        return np.asarray(data.qacc[self._v])
+        return np.asarray(data.qacc[self._rate_rows])
 
     def encoder_angles_rad(self, angles_rad: Floats) -> Floats:
         """Return the angles that the encoders see for true `angles_rad`, shape (3,)."""
@@ -254,15 +257,16 @@ class MujocoPlant:
         up = self._up.copy()
         climb = np.empty(2)
         for i, site in enumerate(self._sites):
-            mujoco.mj_objectVelocity(physics, data, _SITE, site, velocity, 0)
+            in_site_axes = 0  # the velocity is given in the axes of the world
+            mujoco.mj_objectVelocity(physics, data, _SITE, site, velocity, in_site_axes)
             climb[i] = self._speed_m_s.dot(up)
         at = Moment(
             self._time_s,
             self._flight_s,
             volts_V.copy(),
             thrust_N=np.zeros(2),
-            angles_rad=self._qpos.take(self._q),
-            rates_rad_s=self._qvel.take(self._v),
+            angles_rad=self._qpos.take(self._angle_rows),
+            rates_rad_s=self._qvel.take(self._rate_rows),
             up=up,
             climb_m_s=climb,
         )
@@ -270,7 +274,7 @@ class MujocoPlant:
         for effect in self.hidden:
             effect.during(at, physics)
         self._ctrl[:] = at.thrust_N
-        self._applied_Nm[self._v] = at.torque_Nm
+        self._applied_Nm[self._rate_rows] = at.torque_Nm
         mujoco.mj_step(physics, data)
         self._flight_s += STEP_S
 

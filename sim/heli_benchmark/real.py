@@ -150,6 +150,7 @@ def score(
     names = NAMES.get(effect.id, (effect.id,))
     reference_names = {name for cause in reference["causes"] for name in _indistinguishable_names(cause)}
     cause = next((cause for cause in result["causes"] if _stands_for(cause, names)), None)
+    # Causes that neither the hidden effect nor the undisturbed flight explains: they are false.
     new_names = tuple(
         (other["effect"], other["confidence"])
         for other in result["causes"]

@@ -72,8 +72,8 @@ def _true_rig(rig: Rig, causes: Mapping[str, Mapping[str, float]]) -> Rig:
 
 
 def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], reference: Floats) -> float:
-    """Return the error of the model of an answer relative to that of the true model. Shapes: `reference`
-    (3,).
+    """Return the error of the model of an answer relative to that of the true model, `reference`, rad,
+    shape (3,).
     """
     estimates = {name: estimate.value for name, estimate in answer.parameters.items()}
     rig_values = {name: value for name, value in estimates.items() if name in case.rig}
@@ -96,7 +96,7 @@ def prediction_ratio(case: BenchmarkCase, answer: Answer, named: Sequence[str], 
         return WORST_RATIO
     if errors is None or not np.isfinite(errors).all():
         return WORST_RATIO  # diverged, or flights without a prediction
-    # A count is the smallest error that an encoder shows.
+    # A count is the smallest error that an encoder shows. The axes have a geometric mean.
     floor = count_rad(case.rig)
     ratio = np.exp(np.mean(np.log(np.maximum(errors, floor) / np.maximum(reference, floor))))
     return float(min(ratio, WORST_RATIO))
@@ -380,7 +380,8 @@ def score_answer(
     prediction: float | None = None,
     equation: float | None = None,
 ) -> CaseScore:
-    """Score an answer."""
+    """Score an answer; numbers that were not measured or do not apply are None."""
+    # To name a cause that no method can see is neither right nor wrong.
     scored = [name for name in causes.names if name not in truth.invisible]
     probabilities = {name: answer.probabilities.get(name, 0.0) for name in causes.names}
     calibration = tuple((probabilities[name], name in truth.causes) for name in scored)

@@ -119,7 +119,8 @@ def make_split(
 ) -> None:
     """Make a split; cases that exist are kept, so that an interrupted run continues."""
     # An open split grows if `count` is larger than before. A sealed one does not, because its commitments are
-    # complete.
+    # complete. Without a `truth_folder`, the truths of an open split are in its folder `truth`. `say` takes
+    # the name of each case and how many cases exist.
     seal = draw if isinstance(draw, Seal) else None
     truth_folder = truth_folder or folder / "truth"
     if seal is not None and truth_folder.resolve().is_relative_to(folder.resolve()):

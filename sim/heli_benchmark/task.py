@@ -236,7 +236,7 @@ def torques_file(case: str) -> str:
 
 
 def read_split(folder: Path, truth_folder: Path | None = None) -> Split:
-    """Read a split."""
+    """Read a split; without a `truth_folder`, its truths are in its folder `truth`."""
     content = read_json(folder / CAUSES_FILE, _REMEDY, ("schema", "split", "causes"))
     if content.get("schema") != SCHEMA:
         raise BenchmarkError(
@@ -280,7 +280,7 @@ class BenchmarkCase:
 
 
 def read_case(folder: Path, resources: Path | None = None) -> BenchmarkCase:
-    """Read a case from its folder."""
+    """Read a case from its folder; a method may also have `resources`."""
     remedy = "give the folder of a case in a split"
     causes = causes_of(read_json(folder.parents[1] / CAUSES_FILE, remedy))
     flights = {
@@ -431,18 +431,18 @@ def answer_content(answer: Answer) -> dict[str, Any]:
 def answer_with(
     causes: Causes, named: Mapping[str, float], parameters: Mapping[str, Estimate] | None = None
 ) -> dict[str, Any]:
-    """Return the content of an answer that gives probabilities for some causes only."""
+    """Return the content of an answer that gives probabilities for some causes only. Values outside of 0 to 1
+    are clipped.
+    """
+    named = {name: min(max(value, 0.0), 1.0) for name, value in named.items()}
+    highest_named = max((value for name, value in named.items() if name != NOTHING), default=0.0)
     # Other causes keep a share of their base rates: the less certain `named` is, the larger the share.
     # Several causes may be hidden together: a certain cause halves the rates of the others, no more.
-    certain = max((value for name, value in named.items() if name != NOTHING), default=0.0)
-    share = (1.0 - 0.5 * certain) * (1.0 - named.get(NOTHING, 0.0))
-    remaining_rates = {name: rate * share for name, rate in causes.base_rates.items()}
-    all_probabilities = {
-        **remaining_rates,
-        **{name: min(max(value, 0.0), 1.0) for name, value in named.items()},
-    }
+    share = (1.0 - 0.5 * highest_named) * (1.0 - named.get(NOTHING, 0.0))
+    all_probabilities = {name: rate * share for name, rate in causes.base_rates.items()} | named
     if named and NOTHING not in named:
         all_probabilities[NOTHING] = math.prod(1.0 - value for value in named.values())
+    # "Nothing" and any cause exclude each other, so both together have at most 1.
     highest = max(value for name, value in all_probabilities.items() if name != NOTHING)
     all_probabilities[NOTHING] = min(all_probabilities[NOTHING], 1.0 - highest)
     return answer_content(Answer(all_probabilities, parameters or {}))

@@ -40,11 +40,13 @@ def hidden_in(case: Case, motors_on_s: float) -> tuple[TrueEffect, ...]:
 
 
 def translated(id_: str, of: ParameterValues, motors_on_s: float) -> TrueEffect:
-    """Translate one effect."""
+    """Translate one effect, whose parameters the generator has as `of`."""
+    # `scalars` have a true value that estimates are compared with; `start` has all starting values of a fit.
     kind, _, _ = id_.partition(".")
     prefix = id_.replace(".", "_")
     scalars = _SAME[kind](of) if kind in _SAME else {}
     if "at_s" in of:
+        # The generator counts from the start of the motors, flights from the start of the log.
         scalars |= {"at_s": of["at_s"] + motors_on_s}
     start = {f"{prefix}_{what}": value for what, value in scalars.items()}
     amplitudes: dict[tuple[str, str], float] = {}
@@ -54,7 +56,7 @@ def translated(id_: str, of: ParameterValues, motors_on_s: float) -> TrueEffect:
         scalars = {"s_per_m": of["size"]}
         more = {**scalars, "loaded": 0.0, "still": 1.0}
     elif kind == "ground_effect":
-        # The generator uses the height of the end of the arm, independent of pitch.
+        # The generator uses the height of the end of the arm; `own`, the rotor's height by pitch, is 0.
         more = {"own": 0.0}
     elif kind == "rotor_reaction_torque":
         more = {"front_m": of["size"], "back_m": of["size"] * of["back_turns"]}
@@ -73,7 +75,7 @@ def translated(id_: str, of: ParameterValues, motors_on_s: float) -> TrueEffect:
         }
         amplitudes = {(f"{prefix}_sin_rad", f"{prefix}_cos_rad"): size_rad}
     elif kind == "periodic_torque":
-        # Its phase is unknown: from a wrong phase a fit moves to another frequency.
+        # Its phase is unknown: from a wrong phase a fit moves to another frequency. So it starts small.
         more = {"sin_Nm": 0.05 * of["size"]}
         amplitudes = {(f"{prefix}_sin_Nm", f"{prefix}_cos_Nm"): of["size"]}
     start |= {f"{prefix}_{what}": value for what, value in more.items()}
@@ -196,7 +198,9 @@ def _fit_effects(
     fixed: dict[str, float],
     start: dict[str, float] | None = None,
 ) -> Fit:
-    """Fit a model with `effects` to the training flight; `fixed` parameters are not estimated."""
+    """Fit a model with `effects` to the training flight, from `start` or the priors, except for parameters in
+    `fixed`.
+    """
     model = MultibodyModel(effects)
     problem = Problem(
         model,

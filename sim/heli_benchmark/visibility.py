@@ -164,7 +164,7 @@ def visibility(case: DisturbedCase, duration_s: float = TRAIN_S) -> dict[str, fl
     names = [*(name for name, _ in case.effects), *(f"off-{name}" for name, _ in case.unlisted)]
     if not names:
         return {}
-    trajectory = case.fly(0, duration_s)[1]
+    _, trajectory = case.fly(0, duration_s)
     rig = case.rig()
     linearised = LinearisedRig(trajectory, rig, case.disturbances)
     with_all = ReplayedRig(rig, case.hidden(0))
@@ -195,13 +195,14 @@ def imitators(
     contributions = []
 
     def std(name: str) -> float:
-        return 0.5 * rig[name].tolerance
+        return 0.5 * rig[name].tolerance  # a tolerance is two standard deviations
 
     for name in (*_MECHANICAL, *_FRICTIONS):
         if std(name):
             changed_rig = ReplayedRig(rig.replace(**{name: rig[name].value + std(name)}), ())
             change = changed_rig.accelerations(trajectory, forces, FINE) - base
             contributions.append(CauseContribution(linearised.torque(change, 1), nothing))
+    # Errors of the thrust gain and of the dead zone change the thrusts directly.
     gain = rig["thrust_gain"].value
     is_on = np.abs(forces.thrust_N) > 0.0
     for thrust_change_N in (
@@ -215,7 +216,7 @@ def imitators(
         constant = np.zeros((steps(trajectory), 3))
         constant[:, i] = 1.0
         contributions.append(CauseContribution(constant * std(f"torque_{axis}"), nothing))
-        if i < 2:
+        if axis != "travel":  # whose zero is free
             offset = constant * math.radians(std(f"offset_{axis}"))
             contributions.append(CauseContribution(nothing, offset))
     return contributions
@@ -247,10 +248,12 @@ class LinearisedRig:
         torques = np.stack([cause.torque_Nm for cause in contributions], axis=2)
         encoder_errors = np.stack([cause.encoder_error_rad for cause in contributions], axis=2)
         # States of the error: angles, rates, gusts and drift; the encoders measure the angles.
-        h, output = GRID_S, np.eye(3, 12)
+        output = np.eye(3, 12)
         disturbances = self._disturbances
-        gusts = _GaussMarkov(np.array(disturbances.gusts_Nm), math.exp(-h / disturbances.correlation_time_s))
-        drift = _GaussMarkov(np.array(disturbances.slow_std_Nm), math.exp(-h / disturbances.drift_s))
+        gust_decay = math.exp(-GRID_S / disturbances.correlation_time_s)
+        gusts = _GaussMarkov(np.array(disturbances.gusts_Nm), gust_decay)
+        drift_decay = math.exp(-GRID_S / disturbances.drift_s)
+        drift = _GaussMarkov(np.array(disturbances.slow_std_Nm), drift_decay)
         process_covariance = np.zeros((12, 12))
         for start, (std_Nm, decay) in ((6, gusts), (9, drift)):
             process_covariance[start : start + 3, start : start + 3] = np.diag(std_Nm**2 * (1.0 - decay**2))
@@ -268,7 +271,7 @@ class LinearisedRig:
             transition, input_matrix = self._discrete_step(k, gusts.decay, drift.decay)
             error = transition @ error + input_matrix @ torques[k]
             covariance = transition @ covariance @ transition.T + process_covariance
-            covariance = 0.5 * (covariance + covariance.T)
+            covariance = 0.5 * (covariance + covariance.T)  # rounding would make it asymmetric
         return whitened.reshape(-1, len(contributions))
 
     def _discrete_step(self, k: int, gust_decay: float, drift_decay: float) -> tuple[Floats, Floats]:

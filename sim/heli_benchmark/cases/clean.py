@@ -159,9 +159,8 @@ def _cases_by_kind() -> Iterator[Case]:
         for name, listed in LISTED.items():
             yield _listed_case(name, listed, size, next(seeds))
         for _ in range(_NOTHING // len(_SIZES)):
-            yield Case(
-                f"nothing-{next(nothing_numbers)}", effects=(), unlisted=(), seed=next(seeds), makers=()
-            )
+            name = f"nothing-{next(nothing_numbers)}"
+            yield Case(name, effects=(), unlisted=(), seed=next(seeds), makers=())
         for name, off_list in OFF_LIST.items():
             yield _unlisted_case(name, off_list, size, next(seeds))
         # Each combination occurs twice at the same sizes: another seed draws another rig and other flights.

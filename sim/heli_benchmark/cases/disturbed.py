@@ -241,26 +241,26 @@ def _cases_by_kind() -> Iterator[DisturbedCase]:
 def _draw_case(name: str, seed: int, effects: Sequence[str], equations: Sequence[str]) -> DisturbedCase:
     """Draw rig, flight and disturbances of a case, and the sizes that suit them."""
     rng = Stream.DISTURBED_CASE.rng(seed)
-    strength = int(rng.integers(3))
-    gusts_Nm, correlation_time_s = STRENGTHS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))]
-    drifts, on_quanser = rng.random() < _DRIFTING, rng.random() < _ON_QUANSER
-    drift_std_Nm = [
-        float(share * gust) for share, gust in zip(rng.uniform(0.5, 1.0, 3), gusts_Nm, strict=True)
-    ]
+    # The order of the draws determines the cases, so a draw that a case does not use is made too.
+    strength = int(rng.integers(len(STRENGTHS_Nm)))
+    gusts_Nm = STRENGTHS_Nm[strength]
+    correlation_time_s = CORRELATION_TIMES_s[int(rng.integers(len(CORRELATION_TIMES_s)))]
+    is_drifting, is_quanser = rng.random() < _DRIFTING, rng.random() < _ON_QUANSER
+    elevation_Nm, pitch_Nm, travel_Nm = map(float, rng.uniform(0.5, 1.0, 3) * gusts_Nm)
     disturbances = DisturbanceModel(
         gusts_Nm,
         correlation_time_s,
-        (drift_std_Nm[0], drift_std_Nm[1], drift_std_Nm[2]) if drifts else (0.0, 0.0, 0.0),
-        float(rng.uniform(20.0, 40.0)),
+        slow_std_Nm=(elevation_Nm, pitch_Nm, travel_Nm) if is_drifting else (0.0, 0.0, 0.0),
+        drift_s=float(rng.uniform(20.0, 40.0)),
     )
-    weak = bool(rng.random() < _GENTLE)
-    rate_Hz = RATES_Hz[int(rng.integers(3))]
-    controller = CONTROLLERS[int(rng.integers(3))]
+    is_weak = bool(rng.random() < _GENTLE)
+    rate_Hz = RATES_Hz[int(rng.integers(len(RATES_Hz)))]
+    controller = CONTROLLERS[int(rng.integers(len(CONTROLLERS)))]
     if any(effect.startswith(PAPER_RIG_ONLY) for effect in effects):
-        on_quanser = False
+        is_quanser = False
     if any(cause.startswith(STRONGLY_EXCITED_ONLY) for cause in (*effects, *equations)):
-        weak = False
-    size_factor = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if weak else 1.0)
+        is_weak = False
+    size_factor = STRENGTH_FACTORS[strength] * (WEAK_EXCITATION_FACTOR if is_weak else 1.0)
     sized = [(name, _draw_size(name, SIZES[name], size_factor, rng)) for name in effects]
     sized_unlisted = [
         (equation, _draw_size(equation, DISTURBED[equation].size, size_factor, rng)) for equation in equations
@@ -271,9 +271,9 @@ def _draw_case(name: str, seed: int, effects: Sequence[str], equations: Sequence
         unlisted=tuple(sized_unlisted),
         seed=seed,
         makers=tuple(MAKERS[cause] for cause in (*effects, *equations)),
-        rig_name=QUANSER_RIG if on_quanser else PAPER_RIG,
+        rig_name=QUANSER_RIG if is_quanser else PAPER_RIG,
         rate_Hz=rate_Hz,
-        gentle=weak,
+        gentle=is_weak,
         controller=controller,
         disturbances=disturbances,
     )

@@ -132,26 +132,25 @@ def base_rates() -> dict[str, float]:
 
 def _draw_case(name: str, draw: Draw) -> PublishedCase:
     """Draw conditions, causes and sizes of a case."""
-    # The order of the draws determines the published cases.
-    conditions, kind = draw.rng(1), draw.kind
+    # The order of the draws determines the published cases, in separate streams of conditions and truth.
+    conditions, truth, kind = draw.rng(1), draw.rng(2), draw.kind
     on_quanser = bool(conditions.random() < _ON_QUANSER)
     weak = bool(conditions.random() < _WEAKLY_EXCITED)
-    disturbances, factor = _draw_disturbances(conditions)
+    disturbances, size_factor = _draw_disturbances(conditions)
     training_count = int(conditions.choice([1, 2, 3], p=[0.6, 0.25, 0.15]))
-    training = conditions.choice(_TRAINING_s, training_count)
+    training_s = conditions.choice(_TRAINING_s, training_count)
     validation_count = int(conditions.choice([1, 2], p=[0.7, 0.3]))
-    validation = conditions.choice(_VALIDATION_s, validation_count)
+    validation_s = conditions.choice(_VALIDATION_s, validation_count)
     rate_Hz, controller = int(conditions.choice(RATES_Hz)), str(conditions.choice(CONTROLLERS))
-    truth = draw.rng(2)
     effects = _draw_listed_causes(truth, _LISTED_COUNT[kind], on_quanser, weak)
     unlisted: tuple[str, ...] = ()
     if kind.startswith("unlisted"):
         unlisted = (str(truth.choice(_possible_causes(tuple(DISTURBED), on_quanser, weak))),)
-    factor *= WEAK_EXCITATION_FACTOR if weak else 1.0
+    size_factor *= WEAK_EXCITATION_FACTOR if weak else 1.0
 
     def size(cause: str, typical: float) -> float:
         # A lag depends on the rotors, not on the disturbances.
-        return typical * (1.0 if cause in _LATE else factor) * float(truth.uniform(0.75, 1.3))
+        return typical * (1.0 if cause in _LATE else size_factor) * float(truth.uniform(0.75, 1.3))
 
     return PublishedCase(
         name=name,
@@ -164,8 +163,8 @@ def _draw_case(name: str, draw: Draw) -> PublishedCase:
         gentle=weak,
         controller=controller,
         disturbances=disturbances,
-        training_s=tuple(map(float, training)),
-        validation_s=tuple(map(float, validation)),
+        training_s=tuple(map(float, training_s)),
+        validation_s=tuple(map(float, validation_s)),
         draw=draw,
     )
 

@@ -52,9 +52,10 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
                 # cause.
                 named.setdefault(other, min(confidence, 1.0 - confidence))
         for name, estimate in (item for part in estimates_by_cause.values() for item in part.items()):
-            if name in case.causes.parameter_names and estimate["std"] and math.isfinite(estimate["std"]):
+            has_error = estimate["std"] and math.isfinite(estimate["std"])
+            if name in case.causes.parameter_names and has_error:
                 parameters[name] = Estimate(float(estimate["value"]), float(estimate["std"]))
-    if verdict == "explained" and len(named) == 1:
+    if verdict == "explained" and len(named) == 1:  # no cause in addition to UNLISTED
         named = {NOTHING: probability(NOTHING, "explained", case.causes)}
     elif not causes and verdict != "unexplained":
         # The flights excite too little: the base rates stay.

@@ -38,14 +38,17 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
         width = term.columns.shape[1]
         values = coefficients[:, first_column : first_column + width]
         first_column += width
-        share = float((values != 0.0).any(axis=1).mean())
+        share = float((values != 0.0).any(axis=1).mean())  # of the models that keep this term
+        # Never certain: a probability of 1 that is wrong has the largest possible loss.
         probability[term.cause] = max(probability.get(term.cause, 0.0), min(share, 0.98))
         if share < _MIN_SHARE:
             continue
         kept_terms.append(term)
+        # Terms of unlisted causes have columns, but no parameters.
         for name, value in zip(term.parameters, values.T, strict=False):
             if value.std() > 0.0:
                 parameters[name] = Estimate(float(np.median(value)), float(value.std()))
+    # Rarer causes keep their base rates.
     named = {name: share for name, share in probability.items() if share > 0.1}
     rig = regression.parameters([term for term in terms if probability[term.cause] >= _MIN_SHARE])
     return answer_with(case.causes, named, rig | parameters) | torques_of_terms(case, regression, kept_terms)

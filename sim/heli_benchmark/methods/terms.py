@@ -80,7 +80,9 @@ class AccelerationModel:
     def jacobian(
         self, flight: SmoothedFlight, names: Sequence[str], changed_values: Mapping[str, float] | None = None
     ) -> Floats:
-        """Return the derivatives of the accelerations by some parameters. Returns shape (n, 3, names)."""
+        """Return the derivatives of the accelerations by some parameters, shape (n, 3, names);
+        `changed_values` replace those of the rig.
+        """
         parameters = ca.vertcat(*(self._p[self.names.index(name)] for name in names))
         derivatives = ca.jacobian(self._accelerations, parameters)
         return self._evaluate_along(flight, tuple(names), derivatives, changed_values)
@@ -270,7 +272,7 @@ def residual_regression(case: BenchmarkCase, weak_form: bool = False) -> Residua
     ]
     # Scale each axis to its noise and whiten, from the residuals of a fit of the nuisance parameters alone.
     fitted = np.stack([_residual_after_fit(target[:, i], nuisance[:, i]) for i in range(3)], axis=1)
-    correlation = min(max(_step_correlation(fitted), 0.0), 0.95)
+    correlation = min(max(_step_correlation(fitted), 0.0), 0.95)  # at 1, whitening would remove all
     scale = 1.0 / (fitted.std(axis=0) * np.sqrt(1.0 - correlation**2))
 
     def white(values: Floats) -> Floats:

@@ -183,7 +183,8 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
     made_by = _digest_of_files(repr(case), _FLIGHT_FILES)
     digest_file = case_folder / "made_by.txt"
     is_current = digest_file.exists() and digest_file.read_text() == made_by
-    if not is_current and not (keep and any(case_folder.iterdir())):
+    has_files = any(case_folder.iterdir())
+    if not is_current and not (keep and has_files):
         for old_file in case_folder.iterdir():
             old_file.unlink()
         # Written before the flights: each is complete or absent, so an interrupted run keeps the first.
@@ -192,6 +193,7 @@ def prepare(case: Case, folder: Path, *, keep: bool = False) -> PreparedCase:
     flights = read_flight(paths[0]), read_flight(paths[1])
     rig = load_rig(case.rig_name if isinstance(case, DisturbedCase) else _PAPER)
     if isinstance(case, DisturbedCase):
+        # Visibility against the disturbances replaces the fit with the true causes.
         code = _digest_of_files(made_by, [_BENCHMARK / "visibility.py"])
         visible = _cached_result(case_folder / "visibility.json", code, keep, lambda: dict(visibility(case)))
         return PreparedCase(flights, rig, visible)

@@ -49,17 +49,18 @@ def equation_cases() -> list[DisturbedCase]:
     """Return all cases, in an order in which the first are a fair sample of all."""
     cases = []
     for number, (size, equation) in enumerate((size, equation) for size in _SIZES for equation in EQUATIONS):
-        rng = np.random.default_rng([5000 + number, 6])
+        seed = 5000 + number
+        rng = np.random.default_rng([seed, 6])  # 6: a stream that no other draws use
         strength = int(rng.integers(3))
         disturbances = DisturbanceModel(STRENGTHS_Nm[strength], CORRELATION_TIMES_s[int(rng.integers(3))])
-        has_lag = bool(number % 2)
+        has_lag = bool(number % 2)  # in each second case
         makers: tuple[Maker, ...] = (MakeUnlisted(equation),)
         cases.append(
             DisturbedCase(
                 f"law-{equation}-{size}",
                 effects=(("rotor_lag", _LAG_s),) if has_lag else (),
                 unlisted=((equation, EQUATIONS[equation].size * _SIZES[size] * _LARGER[strength]),),
-                seed=5000 + number,
+                seed=seed,
                 makers=(LISTED["rotor_lag"].maker, *makers) if has_lag else makers,
                 rig_name="makki2024",
                 rate_Hz=int(rng.choice(_RATES_Hz)),
@@ -68,7 +69,8 @@ def equation_cases() -> list[DisturbedCase]:
                 disturbances=disturbances,
             )
         )
-    return [cases[i] for i in np.random.default_rng(4).permutation(len(cases))]
+    fixed_order = np.random.default_rng(4).permutation(len(cases))
+    return [cases[i] for i in fixed_order]
 
 
 _AXES = ("elevation", "pitch", "travel")
@@ -158,9 +160,9 @@ def judge_equation(
         }
     if proposed is None or not unlisted:
         return answer  # nothing to compare
-    records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
-    comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
-    true_s, true_Nm = true_torque_Nm(case, 1, VALIDATE_S)
+    training, held_out = (prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True))
+    comparison = ModelComparison(MultibodyModel(), rig, [training], [held_out])
+    true_s, true_Nm = true_torque_Nm(case, 1, VALIDATE_S)  # along the held-out flight
     proposed_s, proposed_Nm = equation_torque_Nm(comparison, proposed.discovery.hypothesis, case)
     axis, correlation = torque_correlation(true_s, true_Nm, proposed_s, proposed_Nm)
     answer["axis"] = _AXES[axis]

@@ -60,12 +60,14 @@ def main() -> None:
     for case, result, cpu_s in diagnosed_cases(map(play_case, options.seeds)):
         ((effect, truth_deg),) = case.effects
         causes = {cause["effect"]: cause for cause in result["causes"]}
-        cases, false_names = cases + 1, false_names + len(causes.keys() - {effect})
+        cases += 1
+        false_names += len(causes.keys() - {effect})
         size = "not named"
         if effect in causes:
             number = causes[effect]["parameters"][f"{effect.replace('.', '_')}_rad"]
             value_deg, std_deg = math.degrees(number["value"]), math.degrees(number["std"])
-            named, within = named + 1, within + (abs(value_deg - truth_deg) < 2.0 * std_deg)
+            named += 1
+            within += abs(value_deg - truth_deg) < 2.0 * std_deg
             unexplained += result["verdict"] == "unexplained"
             size = f"{value_deg:.3f} ± {std_deg:.3f} deg, truth {truth_deg:.3f}"
         print(

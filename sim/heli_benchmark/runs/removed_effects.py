@@ -82,15 +82,16 @@ def judge_replacement(
 ) -> dict[str, Any]:
     """Diagnose a case without its last effect in the catalogue, and judge the equation that replaces it."""
     rig = load_rig(case.rig_name)
-    *_, (name, _) = case.effects
-    diagnosis = run_diagnosis(rig, flights, refits, (name, *REMOVED[name]))
+    *others, (removed, _) = case.effects
+    diagnosis = run_diagnosis(rig, flights, refits, (removed, *REMOVED[removed]))
     proposed = diagnosis.proposed_term
-    records = [prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True)]
-    comparison = ModelComparison(MultibodyModel(), rig, records[:1], records[1:])
-    other_causes = listed_candidates(effect for effect, _ in case.effects[:-1])
+    training, held_out = (prepare(flight, rig, label) for flight, label in zip(flights, "ab", strict=True))
+    comparison = ModelComparison(MultibodyModel(), rig, [training], [held_out])
+    other_causes = listed_candidates(effect for effect, _ in others)
     errors_without_deg = informed_errors_deg(comparison, other_causes)
-    informed_deg = informed_errors_deg(comparison, [*other_causes, *listed_candidates([name])])
-    axis = max(informed_deg, key=lambda name: errors_without_deg[name] / informed_deg[name])
+    informed_deg = informed_errors_deg(comparison, [*other_causes, *listed_candidates([removed])])
+    # The axis on which the removed effect changes most.
+    axis = max(informed_deg, key=lambda axis: errors_without_deg[axis] / informed_deg[axis])
     proposal = diagnosis.proposal
     reductions = diagnosis.error_reductions if proposal is None else proposal.evaluation.reductions
     found_deg = reductions[axis].after_deg
@@ -105,7 +106,7 @@ def judge_replacement(
         "share": (errors_without_deg[axis] - found_deg) / (errors_without_deg[axis] - informed_deg[axis]),
         "seconds": diagnosis.effort.seconds,
     }
-    if proposed is not None:
+    if proposed is not None:  # the equation must also work as an effect file in a simulated flight
         path = folder / case.name / "proposed.py"
         path.write_text(proposed.effect_file("Proposed."))
         effect = proposed.discovery.effect.name

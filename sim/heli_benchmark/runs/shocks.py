@@ -70,16 +70,13 @@ class ShockCase(DisturbedCase):
 
 def shock_cases(seed: int) -> Iterator[ShockCase]:
     """Draw the twelve cases of a `seed`."""
-    for number, (slip_m, disturbed, layout) in enumerate(
-        itertools.product(SLIPS_m, (False, True), SHOCK_LAYOUTS)
-    ):
+    combinations = itertools.product(SLIPS_m, (False, True), SHOCK_LAYOUTS)
+    for number, (slip_m, is_disturbed, layout) in enumerate(combinations):
         rng = np.random.default_rng([seed, number])
-        gusts, correlation_time_s = (
-            STRENGTHS_Nm[int(rng.integers(3))],
-            CORRELATION_TIMES_s[int(rng.integers(3))],
-        )
+        gusts_Nm = STRENGTHS_Nm[int(rng.integers(3))]
+        correlation_time_s = CORRELATION_TIMES_s[int(rng.integers(3))]
         yield ShockCase(
-            name=f"slip-{1e3 * slip_m:.0f}mm-{'disturbed' if disturbed else 'calm'}-{layout}-{seed}",
+            name=f"slip-{1e3 * slip_m:.0f}mm-{'disturbed' if is_disturbed else 'calm'}-{layout}-{seed}",
             effects=(),
             unlisted=(),
             seed=100 * seed + number,
@@ -88,7 +85,7 @@ def shock_cases(seed: int) -> Iterator[ShockCase]:
             rate_Hz=RATES_Hz[int(rng.integers(3))],
             gentle=False,
             controller=CONTROLLERS[int(rng.integers(3))],
-            disturbances=DisturbanceModel(gusts, correlation_time_s) if disturbed else UNDISTURBED,
+            disturbances=DisturbanceModel(gusts_Nm, correlation_time_s) if is_disturbed else UNDISTURBED,
             slip_m=slip_m,
             layout=layout,
         )

@@ -68,10 +68,11 @@ def make(
         raise BenchmarkError(
             "a sealed split stores its true answers in another folder", "name the folder with --truth"
         )
+    draw = read_seal(secret) if secret is not None else seed or 0
     make_split(
         folder,
         split,
-        seed or 0 if secret is None else read_seal(secret),
+        draw,
         count,
         truth_folder=truth,
         workers=workers,

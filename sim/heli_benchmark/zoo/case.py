@@ -30,8 +30,9 @@ class ImportTruth:
     reports: Mapping[str, str] | None = None
     """Pattern that the words of the import must match for each kind of repair, by kind."""
     unknown: tuple[str, ...] = ()
-    """Facts that the file does not show, so that a question about them is right: `mirror`, `zero`, `scale`,
-    `supply`, `columns`, or `currents`: without names, currents are not distinguished from voltages."""
+    """Facts that the file does not show, so that a question about them is right. `mirror`: whether the rig
+    is its mirror image; `zero`: the zero of the elevation; `scale`: the unit of the angles; `supply`: the
+    supply voltage; `columns`: which column is which; `currents`: whether columns are currents or voltages."""
 
 
 @dataclass(frozen=True)

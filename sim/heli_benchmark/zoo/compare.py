@@ -110,25 +110,30 @@ def _flight_mistakes(
 def _angle_mistakes(
     axis: str, at_s: Floats, imported: Floats, samples: Samples, truth: ImportTruth
 ) -> list[str]:
+    """Compare an angle: sign, scale, values, and zero."""
     true = np.interp(at_s, samples.t_s, samples.values)
     deviation = true - true.mean()
+    # Slope of the imported angle over the true one, by least squares.
     scale = float(deviation @ (imported - imported.mean()) / max(float(deviation @ deviation), 1e-12))
+    sign = np.sign(scale) or 1.0
     differences = []
     if scale < 0.0:
         differences.append(f"{axis}: opposite sign")
     size = abs(scale)
-    error = imported - imported.mean() - (np.sign(scale) or 1.0) * deviation
-    rate = float(np.sqrt(np.mean(np.gradient(samples.values, samples.t_s) ** 2)))
-    peak_rate = float(np.quantile(np.abs(np.gradient(samples.values, samples.t_s)), 0.999))
+    error = imported - imported.mean() - sign * deviation
+    rates = np.gradient(samples.values, samples.t_s)
+    rms_rate = float(np.sqrt(np.mean(rates**2)))
+    peak_rate = float(np.quantile(np.abs(rates), 0.999))
     step = truth.value_step[axis]
-    tolerance = max(_ANGLE_RMS * float(true.std()), 2.0 * step, rate * truth.time_tolerance_s)
+    tolerance = max(_ANGLE_RMS * float(true.std()), 2.0 * step, rms_rate * truth.time_tolerance_s)
     if abs(size - 1.0) > _ANGLE_SCALE + 2.0 * tolerance / max(float(np.ptp(true)), 1e-9):
         differences.append(f"{axis}: scale {size:.3g}")
     elif float(error.std()) > tolerance:
         differences.append(f"{axis}: values differ by {np.degrees(error.std()):.2f} deg rms")
     elif float(np.abs(error).max()) > _PEAK_RAD + 2.0 * step + 4.0 * peak_rate * truth.time_tolerance_s:
         differences.append(f"{axis}: a row differs by {np.degrees(np.abs(error).max()):.1f} deg")
-    zero = float(np.median(imported - (np.sign(scale) or 1.0) * true))
+    zero = float(np.median(imported - sign * true))
+    # The zero of the travel is free, and a wrong scale or sign would move any zero.
     if axis != "travel" and not differences and abs(zero) > _ZERO_RAD:
         differences.append(f"{axis}: zero differs by {np.degrees(zero):.1f} deg")
     return differences
@@ -148,7 +153,7 @@ def _voltage_mistakes(
         for lag_s in lags_s:
             true = _last_value(samples, at_s[rows] - lag_s)
             errors.append(float(np.mean((imported - true) ** 2)))
-        lag_s = float(lags_s[int(np.argmin(errors))])
+        lag_s = float(lags_s[int(np.argmin(errors))])  # of the imported voltage against the true one
         # No lag is assumed if the voltages agree nearly as well without it.
         error_without_lag = errors[int(np.argmin(np.abs(lags_s)))]
         if error_without_lag < 1.15 * min(errors):

@@ -63,18 +63,19 @@ def _write_text(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
     separator, decimal = tuple(case.dialect)
     names, cells = _text_cells(recording)
     if separator == " ":
+        # A space in a name or an empty cell would move all further cells.
         names = [name.replace(" ", "_") for name in names]
         cells = [[cell or "nan" for cell in column] for column in cells]
     if decimal == ",":
-        is_text = [bool(recording.clock_texts) and index == 0 for index in range(len(cells))]
-        cells = [
-            column if text else [cell.replace(".", ",") for cell in column]
-            for column, text in zip(cells, is_text, strict=True)
-        ]
+        # Times that are written as texts stay; they are the first column.
+        text_columns = 1 if recording.clock_texts else 0
+        numeric = [[cell.replace(".", ",") for cell in column] for column in cells[text_columns:]]
+        cells = cells[:text_columns] + numeric
     header = [separator.join(names)] if recording.has_header else []
     if recording.unit_row:
-        units = [column.unit or "-" for column in recording.columns]
-        header.append(separator.join([recording.clock_unit or "-"] * (len(cells) - len(units)) + units))
+        units = [recording.clock_unit] if recording.has_clock else []
+        units += [column.unit for column in recording.columns]
+        header.append(separator.join(unit or "-" for unit in units))
     rows = [separator.join(column[row] for column in cells) for row in _row_order(case, rng)]
     lines = header + _damaged(rows, header, separator, case, rng)
     if rng.random() < 0.25:
@@ -100,13 +101,14 @@ def _is_latin(lines: list[str]) -> bool:
 def _damaged(
     rows: list[str], header: list[str], separator: str, case: LogCase, rng: np.random.Generator
 ) -> list[str]:
-    """Damage lines, by which the file loses or gains no other line."""
+    """Add damaged copies of lines; all lines themselves stay in the file."""
     count = max(2, round(len(rows) * float(rng.uniform(0.002, 0.02))))
     lines = list(rows)
 
     def insert(texts: list[str]) -> None:
         """Put damaged lines between intact lines."""
         for text in texts:
+            # The first and last lines stay intact: the import finds header and format in them.
             lines.insert(int(rng.integers(5, len(lines) - 5)), text)
 
     def some_rows() -> list[str]:
@@ -148,10 +150,9 @@ def _write_mat(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
     columns = {column.name: column.values[rows] for column in recording.columns}
     clock = recording.clock[rows] if recording.has_clock else None
     path = folder / f"{recording.name}.mat"
-    # Simulink's own structures have times in seconds.
-    form = ("vectors", "structure", "timeseries", "scope")[
-        int(rng.integers(4 if recording.clock_unit == "s" else 2))
-    ]
+    # Simulink's own structures, the last two, have times in seconds.
+    forms = ("vectors", "structure", "timeseries", "scope")
+    form = forms[int(rng.integers(4 if recording.clock_unit == "s" else 2))]
     if not recording.has_header:
         # Columns without names share the empty name, so that a mapping by names would lose them.
         cells = [column.values[rows] for column in recording.columns]
@@ -166,6 +167,7 @@ def _write_mat(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
             name: values[None, :] if as_rows else values[:, None]
             for name, values in {**times, **variables}.items()
         }
+        # A workspace also has variables that are not columns: here feedback gains and a sampling time.
         savemat(path, {**content, "K": np.eye(2, 6), "Ts": 1.0 / max(case.rate_Hz, 1.0)})
     elif form == "structure":
         savemat(path, {"log": {_matlab_name(recording.clock_name): clock, **variables}})
@@ -271,13 +273,13 @@ def _write_bag(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
         group = "angles" if column.group in ("elevation", "pitch", "travel") else "motors"
         groups.setdefault("extra" if column.group == "extra" else group, []).append(column)
     with Writer(path, version=9, storage_plugin=plugin) as writer:
-        senders: list[tuple[float, Callable[[int, float, float], None]]] = []
+        senders: list[Callable[[int, float, float], None]] = []
         for group, columns in groups.items():
-            stamped = kind == "stamps" or (kind == "two clocks" and group == "angles")
-            senders.append((0.0, _sender(writer, store, group, columns, stamped)))
+            is_stamped = kind == "stamps" or (kind == "two clocks" and group == "angles")
+            senders.append(_sender(writer, store, group, columns, is_stamped))
         for row in range(count):
             true_s = start_s + float(recording.true_s[row])
-            for _, send in senders:
+            for send in senders:
                 send(row, true_s + float(transport_s[row]), true_s + clock_offset_s)
     if case.container == "mcap":
         return next(path.glob("*.mcap"))
@@ -285,11 +287,11 @@ def _write_bag(case: LogCase, folder: Path, rng: np.random.Generator) -> Path:
 
 
 def _sender(
-    writer: Any, store: Any, group: str, columns: list[LoggedColumn], stamped: bool
+    writer: Any, store: Any, group: str, columns: list[LoggedColumn], is_stamped: bool
 ) -> Callable[[int, float, float], None]:
     """Return a function that writes the message of a row: row, time of the recorder, time of the stamp."""
     types = store.types
-    if stamped:
+    if is_stamped:
         kind = "sensor_msgs/msg/JointState"
         connection = writer.add_connection(f"/heli/{group}", kind, typestore=store)
         names = [column.name for column in columns]
@@ -311,7 +313,7 @@ def _sender(
     ]
 
     def send_single(row: int, recorded_s: float, stamp_s: float) -> None:
-        del stamp_s
+        del stamp_s  # this message has no field for it
         for column, connection in zip(columns, connections, strict=True):
             message = types[kind](data=float(column.values[row]))
             writer.write(connection, int(recorded_s * 1e9), store.serialize_cdr(message, kind))

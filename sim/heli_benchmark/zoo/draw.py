@@ -18,10 +18,10 @@ from heli_benchmark.zoo.case import ImportTruth, LogCase, LoggedColumn, Recordin
 from heli_benchmark.zoo.flights import FlightRecipe
 from heli_benchmark.zoo.words import MOTORS, SUMS, UNIT_WORDS, VOCABULARIES, with_unit
 
-_ROLES: Final = (*AXES, *MOTORS)
 _RATES_Hz: Final = (20.0, 25.0, 33.333333, 50.0, 60.0, 100.0, 125.0, 200.0, 250.0, 500.0, 1000.0)
 _MAX_ROWS: Final = 12_000
 _TEXT_KINDS: Final = ("csv", "txt")
+_BAGS: Final = ("mcap", "ros2")
 _CONTAINERS: Final = {
     "csv": 0.46,
     "txt": 0.1,
@@ -56,6 +56,8 @@ _TEXT_CLOCKS: Final = {
     "thousands": 0.1,
     "german date": 0.1,
 }
+_FINE_CLOCKS: Final = ("s", "ms", "us", "ns", "epoch s", "epoch ms", "iso date", "clock", "datetime", "min")
+"""Clocks that are fine enough to show that rows are lost or in another order."""
 _LINE_FAULTS: Final = ("truncated lines", "merged lines", "garbage", "repeated header", "error cells")
 _ROW_FAULTS: Final = (
     *_LINE_FAULTS,
@@ -95,6 +97,10 @@ _REPORTS: Final = {
 
 _REFUSALS: Final = {"voltages": r"volt|motor", "two angles": r"travel|pitch|elevation|two angles|angle"}
 """Pattern of the reason for which an import must refuse a file without voltages, or with two angles only."""
+
+
+_FIRST_COUNT: Final = 500.0
+"""Count at which a 16-bit counter of the travel starts [counts]."""
 
 
 class _Random:
@@ -153,7 +159,8 @@ class _Drawing:
         self.unknown: list[str] = []
         self.value_step: dict[str, float] = {}
         self.columns: list[LoggedColumn] = []
-        self.column_by_role: dict[str, str] = {}
+        self.turned: list[str] = []  # Axes that the logger counts in the opposite direction
+        self.battery_V: Floats | None = None  # Measured supply; None if the file has no such column
         self.lost_s = 0.0
         self.time_tolerance_s = 0.0
 
@@ -167,7 +174,7 @@ class _Drawing:
         clock_kind = self._clock_kind(container)
         faults = self._row_faults(container, clock_kind)
         measured = self._sampled(clock_kind, container, faults)
-        refusal = self._refusal(container)
+        refusal = self._refusal()
         truth_samples = {
             **{axis: Samples(measured.true_s, measured.angles_rad[axis]) for axis in AXES},
             **{motor: Samples(measured.true_s, measured.volts_V[motor]) for motor in MOTORS},
@@ -186,6 +193,7 @@ class _Drawing:
             self.reports[fault] = _REPORTS[fault]
         if blank_rows:
             self.reports["two rates"] = _REPORTS["two rates"]
+        # Neither the file nor the user states the time.
         without_time = clock_kind == "none" and not rate_Hz
         truth = ImportTruth(
             truth_samples,
@@ -218,7 +226,7 @@ class _Drawing:
     def _unit_style(self, container: str) -> str:
         """Draw how names state their units; without names, and in messages, they do not."""
         style = self.random.choice(("none", "none", "brackets", "parentheses", "tail", "row", "slash"))
-        if self.style == "none" or container in ("mcap", "ros2"):
+        if self.style == "none" or container in _BAGS:
             return "none"
         if style == "row" and container not in (*_TEXT_KINDS, "xlsx"):
             return "brackets"
@@ -241,7 +249,7 @@ class _Drawing:
         return self.random.choice(styles)
 
     def _clock_kind(self, container: str) -> str:
-        if container in ("mcap", "ros2"):
+        if container in _BAGS:
             return self.random.choice(("stamps", "stamps", "recorder", "two clocks"))
         if container in _TEXT_KINDS and self.random.chance(0.22):
             return self.random.weighted(_TEXT_CLOCKS)
@@ -253,17 +261,18 @@ class _Drawing:
     def _row_faults(self, container: str, clock_kind: str) -> list[str]:
         if self.random.chance(0.55):
             return []  # most files have no fault
+        # Texts alone have lines. The rows of a bag are its messages, of which only lost ones are drawn.
         possible = [
             fault
             for fault in _ROW_FAULTS
             if (container in _TEXT_KINDS or fault not in _LINE_FAULTS)
-            and (container not in ("mcap", "ros2") or fault in ("lost rows", "long gap"))
+            and (container not in _BAGS or fault in ("lost rows", "long gap"))
         ]
         if clock_kind in ("none", "rows"):
             possible = ["stalled values"]  # without times, other faults do not show
-        fine_clocks = ("s", "ms", "us", "ns", "epoch s", "epoch ms", "iso date", "clock", "datetime", "min")
-        if clock_kind not in fine_clocks:
-            possible = [f for f in possible if f not in ("reversed", "swapped rows", "lost rows", "long gap")]
+        if clock_kind not in _FINE_CLOCKS:
+            unseen = ("reversed", "swapped rows", "lost rows", "long gap")
+            possible = [fault for fault in possible if fault not in unseen]
         if self.style == "none":
             possible = [fault for fault in possible if fault != "repeated header"]
         count = 1 + self.random.chance(0.3) + self.random.chance(0.1)
@@ -275,7 +284,8 @@ class _Drawing:
             chosen = [fault for fault in chosen if fault != "swapped rows"]
         return chosen
 
-    def _refusal(self, container: str) -> str:
+    def _refusal(self) -> str:
+        """Draw what a file lacks, as a key of `_REFUSALS`; most files lack nothing."""
         if self.random.chance(0.1):
             kind = self.random.choice(("voltages", "voltages", "two angles"))
             self.traits.append("no voltages" if kind == "voltages" else "two angles only")
@@ -284,17 +294,37 @@ class _Drawing:
 
     def _sampled(self, clock_kind: str, container: str, faults: Sequence[str]) -> _Measured:
         """Sample the flight at the times of the rows."""
-        random, flight = self.random, self.flight
-        # Coarse times must repeat, and whole milliseconds must not.
+        flight = self.flight
+        self.rate_Hz = self._sampling_rate_Hz(clock_kind, container)
+        step_s = 1.0 / self.rate_Hz
+        true_s = self._times_of_rows_s(clock_kind, step_s)
+        true_s = self._without_lost_rows(true_s, faults)
+        self.traits.append(f"{self.rate_Hz:g} Hz")
+        # Half a step of the rows and the rounding of fine clocks, each with some reserve.
+        self.time_tolerance_s = 0.004 + 0.6 * step_s
+        # The logger has the last sample before each row; 1e-9 s is above the rounding of times.
+        rows = np.clip(np.searchsorted(flight.t_s, true_s + 1e-9, side="right") - 1, 0, None)
+        return _Measured(
+            true_s,
+            {axis: getattr(flight, f"{axis}_rad")[rows] for axis in AXES},
+            {motor: getattr(flight, f"{motor}_V")[rows] for motor in MOTORS},
+        )
+
+    def _sampling_rate_Hz(self, clock_kind: str, container: str) -> float:
+        """Draw a rate at which coarse times repeat, and whole milliseconds do not."""
+        # Spreadsheets and bags are slow to write and to read, so they have fewer rows.
         rates_Hz = [rate for rate in _RATES_Hz if container != "xlsx" or rate <= 100.0]
-        if container in ("mcap", "ros2"):
+        if container in _BAGS:
             rates_Hz = [rate for rate in rates_Hz if rate <= 250.0]
         if clock_kind in ("tenths", "whole seconds"):
             rates_Hz = [rate for rate in rates_Hz if rate >= 25.0]
         if clock_kind in ("ms", "overflow 16 ms", "epoch ms", "clock", "prefix"):
             rates_Hz = [rate for rate in rates_Hz if rate <= 500.0]
-        rate_Hz = rates_Hz[int(random.rng.integers(len(rates_Hz)))]
-        step_s = 1.0 / rate_Hz
+        return rates_Hz[int(self.random.rng.integers(len(rates_Hz)))]
+
+    def _times_of_rows_s(self, clock_kind: str, step_s: float) -> Floats:
+        """Draw which part of the flight is logged, and how evenly the rows follow each other."""
+        random, flight = self.random, self.flight
         end_s = float(flight.t_s[-1])
         start_s = float(flight.t_s[0])
         if random.chance(0.3):
@@ -314,7 +344,11 @@ class _Drawing:
             true_s = true_s + np.cumsum(late_s)
         if jitter != "even":
             self.traits.append(jitter)
-        true_s = true_s[true_s < end_s]
+        return np.asarray(true_s[true_s < end_s])
+
+    def _without_lost_rows(self, true_s: Floats, faults: Sequence[str]) -> Floats:
+        """Remove the rows that the drawn faults lose: a few here and there, or all of some time."""
+        random = self.random
         keep = np.ones(true_s.size, bool)
         if "lost rows" in faults:
             for _ in range(max(3, round(0.004 * true_s.size))):
@@ -325,199 +359,225 @@ class _Drawing:
             gap_s = random.between(0.8, 2.5)
             keep &= ~((true_s > true_s[first]) & (true_s < true_s[first] + gap_s))
             self.lost_s += gap_s
-        true_s = true_s[keep]
-        self.rate_Hz = rate_Hz
-        self.traits.append(f"{rate_Hz:g} Hz")
-        self.time_tolerance_s = 0.004 + 0.6 * step_s
-        rows = np.clip(np.searchsorted(flight.t_s, true_s + 1e-9, side="right") - 1, 0, None)
-        return _Measured(
-            true_s,
-            {axis: getattr(flight, f"{axis}_rad")[rows] for axis in AXES},
-            {motor: getattr(flight, f"{motor}_V")[rows] for motor in MOTORS},
-        )
+        return np.asarray(true_s[keep])
 
     def _header(self, name: str, unit: str) -> tuple[str, str]:
         """Return the name with its unit, and the unit of the unit row."""
         word = self.random.choice(UNIT_WORDS[unit]) if unit in UNIT_WORDS else ""
         if self.unit_style == "tail":
+            # A tail is a part of the name, as in `pitch_deg`: only letters are possible.
             word = {"°": "deg", "%": "percent", "1": "duty", "-": "duty", "µs": "us", "s": "s"}.get(
                 word, word
             )
         if self.unit_style == "tail" and unit in ("s", "V", "A", "C"):
-            return name, ""
+            return name, ""  # loggers with such names leave out the base units
         return with_unit(name, word, self.unit_style), word if self.unit_style == "row" else ""
 
-    def _add(self, role: str, name: str, unit: str, values: Floats, decimals: int) -> str:
+    def _add(self, group: str, name: str, unit: str, values: Floats, decimals: int) -> None:
         full_name, unit_cell = self._header(name, unit)
-        self.columns.append(LoggedColumn(full_name, unit_cell, values, decimals, role))
-        return full_name
+        self.columns.append(LoggedColumn(full_name, unit_cell, values, decimals, group))
 
     def _angle_columns(self, measured: _Measured, refusal: str) -> None:
+        """Add the columns of the angles, and note which facts about them the file does not show."""
         random = self.random
-        unit = random.choice(("rad", "deg", "deg", "deg", "count", "rad"))
-        self.angle_unit = unit
-        states_unit = self.unit_style != "none"
-        at_rest = self.recipe.starts_on_table and random.chance(0.3)
+        self.angle_unit = random.choice(("rad", "deg", "deg", "deg", "count", "rad"))
+        is_zero_on_table = self.recipe.starts_on_table and random.chance(0.3)
         left_out = random.choice(AXES[1:]) if refusal == "two angles" else ""
-        signs = []
         for axis, word in zip(AXES, self.words.angles, strict=True):
-            values = measured.angles_rad[axis]
-            if axis == "elevation" and at_rest:
-                values = values - self.flight.elevation_rad[0]
-            sign = -1.0 if random.chance(0.15) else 1.0
-            signs.append(sign)
-            if axis == "travel" and random.chance(0.4):
-                values = values + random.between(-3.0, 3.0)
-            counts = self.rig[f"encoder_counts_{axis}"].value
-            per_rad = {"rad": 1.0, "deg": 180.0 / math.pi, "count": counts / (2.0 * math.pi)}[unit]
-            logged = sign * values * per_rad
-            decimals = {"rad": 4 + int(random.rng.integers(3)), "deg": 2 + int(random.rng.integers(3))}.get(
-                unit, 0
-            )
-            if unit == "count":
-                logged = np.round(logged)
-                if axis == "travel" and random.chance(0.3):
-                    logged = np.mod(logged + 500.0, 65536.0)
-            elif axis == "travel" and random.chance(0.25):
-                turn = 2.0 * math.pi * per_rad
-                low = random.choice(("0", "-"))
-                shift = 0.0 if low == "0" else 0.5 * turn
-                logged = np.mod(logged + shift, turn) - shift
-            self.value_step[axis] = 10.0 ** (-decimals) / per_rad if decimals else 1.0 / per_rad
+            angle_rad = measured.angles_rad[axis]
+            if axis == "elevation" and is_zero_on_table:
+                angle_rad = angle_rad - self.flight.elevation_rad[0]
+            logged, decimals = self._logged_angle(axis, angle_rad)
             if axis != left_out:
-                self.column_by_role[axis] = self._add(axis, word, unit, logged, decimals)
-        turned = [axis for axis, sign in zip(AXES, signs, strict=True) if sign < 0.0]
-        self.turned = turned
-        if turned:
-            self.traits.append(f"inverted {'+'.join(turned)}")
-        if "pitch" in turned or "travel" in turned:
-            self.unknown.append("mirror")
-        if at_rest:
+                self._add(axis, word, self.angle_unit, logged, decimals)
+        if self.turned:
+            self.traits.append(f"inverted {'+'.join(self.turned)}")
+        if is_zero_on_table:
             self.traits.append("elevation 0 on the table")
+        states_unit = self.unit_style != "none"
+        self.traits.append(f"angles in {self.angle_unit}{'' if states_unit else ' unstated'}")
+        if "pitch" in self.turned or "travel" in self.turned:
+            self.unknown.append("mirror")
         if not self.recipe.starts_on_table or "begins in flight" in self.traits:
             self.unknown.append("zero")
-        self.traits.append(f"angles in {unit}{'' if states_unit else ' unstated'}")
         if not states_unit:
             self.unknown.append("scale")
 
+    def _logged_angle(self, axis: str, angle_rad: Floats) -> tuple[Floats, int]:
+        """Draw how the logger writes an angle: sign, zero, rounding and range; return values and decimals."""
+        random = self.random
+        is_turned = random.chance(0.15)
+        if is_turned:
+            self.turned.append(axis)
+        if axis == "travel" and random.chance(0.4):
+            angle_rad = angle_rad + random.between(-3.0, 3.0)
+        counts = self.rig[f"encoder_counts_{axis}"].value
+        per_rad = {"rad": 1.0, "deg": 180.0 / math.pi, "count": counts / (2.0 * math.pi)}[self.angle_unit]
+        logged = (-1.0 if is_turned else 1.0) * angle_rad * per_rad
+        # Both numbers of decimals are drawn in each case: the seeds' cases depend on the order of draws.
+        drawn_decimals = {"rad": 4 + int(random.rng.integers(3)), "deg": 2 + int(random.rng.integers(3))}
+        decimals = drawn_decimals.get(self.angle_unit, 0)
+        self.value_step[axis] = 10.0**-decimals / per_rad
+        if self.angle_unit == "count":
+            logged = np.round(logged)
+            if axis == "travel" and random.chance(0.3):
+                # An unsigned 16-bit counter that starts near 0, so that it soon overflows downwards.
+                logged = np.mod(logged + _FIRST_COUNT, 65536.0)
+        elif axis == "travel" and random.chance(0.25):
+            turn = 2.0 * math.pi * per_rad
+            drawn_range_deg = random.choice(("0 to 360", "-180 to 180"))
+            lowest = 0.0 if drawn_range_deg == "0 to 360" else -0.5 * turn
+            logged = np.mod(logged - lowest, turn) + lowest
+        return logged, decimals
+
     def _voltage_columns(self, measured: _Measured, refusal: str) -> tuple[str, str]:
+        """Add the columns of the voltages; return what they hold, `MOTORS` or `SUMS`."""
         random, words = self.random, self.words
-        front, back = measured.volts_V["front"], measured.volts_V["back"]
-        supply_V = self.rig["supply"].value
-        self.supply: Floats | None = None
+        front_V, back_V = measured.volts_V["front"], measured.volts_V["back"]
         weights = {"V": 0.58, "mV": 0.04, "percent": 0.14, "duty": 0.1, "pwm": 0.12, "pwm 1023": 0.02}
         unit = random.weighted(weights)
-        roles = MOTORS
-        values = (front, back)
+        roles, values_V = MOTORS, (front_V, back_V)
         if random.chance(0.16):
-            roles, values = SUMS, (front + back, front - back)
+            roles, values_V = SUMS, (front_V + back_V, front_V - back_V)
             if random.chance(0.25):
-                values = (0.5 * values[0], 0.5 * values[1])
+                values_V = (0.5 * values_V[0], 0.5 * values_V[1])
                 self.traits.append("half sums")
-        full_scale = {"V": 1.0, "mV": 1e-3, "percent": supply_V / 100.0, "duty": supply_V}.get(unit)
-        full_scale = full_scale if full_scale is not None else supply_V / (255.0 if unit == "pwm" else 1023.0)
-        scale = np.full(front.size, full_scale)
-        if unit not in ("V", "mV") and random.chance(0.35):
-            # A battery that sags; the amplifier gives a share of it.
-            true_supply = supply_V * (
-                random.between(0.93, 1.04) - 0.03 * np.linspace(0.0, 1.0, front.size) ** 2
-            )
-            scale = scale * true_supply / supply_V
-            self.supply = true_supply
-            self.traits.append("supply column")
         decimals = {"V": 3, "mV": 0, "percent": 1, "duty": 4}.get(unit, 0)
+        volts_per_unit = self._volts_per_unit(unit, row_count=front_V.size, decimals=decimals)
         self.voltage_unit = unit
-        self.volts_per_unit = scale
         self.traits.append(f"{'+'.join(roles)} in {unit}")
         if unit not in ("V", "mV"):
             self.unknown.append("supply")
-        for motor in MOTORS:
-            self.value_step[motor] = (
-                10.0**-decimals * full_scale * (2.0 if "half sums" in self.traits else 1.0)
-            )
         if refusal == "voltages":
             return roles  # the file has none
         names = words.sums if roles == SUMS else tuple(words.voltage.format(motor) for motor in words.motors)
         if self.style == "numbered" and roles == MOTORS:
-            self.unknown.append("columns")
-        stated = unit.split()[0]
-        for role, voltage_name, volts in zip(roles, names, values, strict=True):
+            self.unknown.append("columns")  # motor 1 may be the front or the back one
+        stated_unit = unit.split()[0]  # "pwm 1023" is written as "pwm", so the import must find the range
+        for role, voltage_name, volts_V in zip(roles, names, values_V, strict=True):
             name = voltage_name
-            if stated in ("percent", "duty", "pwm") and roles == MOTORS and self.style != "none":
+            if stated_unit in ("percent", "duty", "pwm") and roles == MOTORS and self.style != "none":
                 motor = words.motors[MOTORS.index(role)]
                 name = words.duty.format(motor)
-            self.column_by_role[role] = self._add(role, name, stated, volts / scale, decimals)
+            self._add(role, name, stated_unit, volts_V / volts_per_unit, decimals)
         return roles
 
+    def _volts_per_unit(self, unit: str, *, row_count: int, decimals: int) -> Floats:
+        """Return the volts of a unit in each row; of duty cycles, they may follow a battery that sags."""
+        random = self.random
+        supply_V = self.rig["supply"].value
+        nominal = {
+            "V": 1.0,
+            "mV": 1e-3,
+            "percent": supply_V / 100.0,
+            "duty": supply_V,
+            "pwm": supply_V / 255.0,  # 8 bits
+            "pwm 1023": supply_V / 1023.0,  # 10 bits
+        }[unit]
+        # The motor's voltage is the sum of both half sums, each with its own rounding.
+        steps = 2.0 if "half sums" in self.traits else 1.0
+        for motor in MOTORS:
+            self.value_step[motor] = 10.0**-decimals * nominal * steps
+        volts_per_unit = np.full(row_count, nominal)
+        if unit not in ("V", "mV") and random.chance(0.35):
+            battery = random.between(0.93, 1.04) - 0.03 * np.linspace(0.0, 1.0, row_count) ** 2
+            self.battery_V = supply_V * battery
+            volts_per_unit = volts_per_unit * self.battery_V / supply_V
+            self.traits.append("supply column")
+        return volts_per_unit
+
     def _extra_columns(self, measured: _Measured, refusal: str, roles: tuple[str, str]) -> None:
-        random, words = self.random, self.words
+        """Add columns that the import must not mistake for angles or voltages."""
+        random = self.random
         share = 0.08 if self.style == "none" else 0.3
-        extras: list[str] = []
-        per_rad = {"rad": 1.0, "deg": 180.0 / math.pi, "count": 180.0 / math.pi}[self.angle_unit]
-        unit = "deg" if self.angle_unit == "count" else self.angle_unit
-        step_s = 1.0 / self.rate_Hz
         without_voltages = refusal == "voltages"
         setpoint_kind = random.choice(("steps", "smooth"))
+        # Without voltages, a setpoint or a current must not be imported instead of them.
         wants_setpoints = random.chance(0.9 if without_voltages else share)
         wants_currents = random.chance(0.6 if without_voltages else share)
         if without_voltages and not wants_setpoints:
             wants_currents = True
-        logged = {column.group: column for column in self.columns}
+        wants_duties = roles == MOTORS and not without_voltages and self.voltage_unit == "V"
+        extras = [
+            *self._columns_like_angles(measured, share, setpoint_kind if wants_setpoints else ""),
+            *self._columns_like_voltages(measured, share, wants_currents, wants_duties),
+            *self._other_columns(measured, share),
+        ]
+        if without_voltages and wants_currents and self.style == "none":
+            self.unknown.append("currents")
+        self.traits += dict.fromkeys(extras)  # without repeats, in their order
+
+    def _columns_like_angles(self, measured: _Measured, share: float, setpoint_kind: str) -> list[str]:
+        """Add columns that follow the angles; return their kinds. Without a kind, no setpoints are added."""
+        random, words = self.random, self.words
+        extras: list[str] = []
+        # Only the encoders count; all other columns of a logger in counts are in degrees.
+        unit = "deg" if self.angle_unit == "count" else self.angle_unit
+        per_rad = {"rad": 1.0, "deg": 180.0 / math.pi}[unit]
+        step_s = 1.0 / self.rate_Hz
+        logged = {column.group for column in self.columns}
         for axis, word in zip(AXES, words.angles, strict=True):
             if axis not in logged:
                 continue  # the angle that is left out
-            if wants_setpoints:
+            angle_rad = measured.angles_rad[axis]
+            sign = -1.0 if axis in self.turned else 1.0
+            if setpoint_kind:
                 extras.append("setpoints")
-                setpoint = _setpoint(np.unwrap(measured.angles_rad[axis]), step_s, setpoint_kind)
-                sign = -1.0 if axis in self.turned else 1.0
+                setpoint = _setpoint(np.unwrap(angle_rad), step_s, setpoint_kind)
                 self._add("extra", words.setpoint.format(word), unit, sign * setpoint * per_rad, 3)
             if random.chance(share):
                 extras.append("filtered copies")
-                sign = -1.0 if axis in self.turned else 1.0
-                low_passed = _low_passed(measured.angles_rad[axis], step_s, random.between(0.02, 0.15))
+                low_passed = _low_passed(angle_rad, step_s, lag_s=random.between(0.02, 0.15))
                 self._add("extra", words.filtered.format(word), unit, sign * low_passed * per_rad, 4)
             if random.chance(share):
                 extras.append("rates")
-                rate = np.gradient(_low_passed(measured.angles_rad[axis], step_s, 0.03), step_s)
+                rate = np.gradient(_low_passed(angle_rad, step_s, lag_s=0.03), step_s)
                 self._add("extra", words.rate.format(word), "", rate * per_rad, 3)
             if self.style not in ("none", "greek") and random.chance(0.5 * share):
                 extras.append("raw counts")
-                counts = self.rig[f"encoder_counts_{axis}"].value / (2.0 * math.pi)
-                self._add("extra", f"{word}_raw", "", np.round(measured.angles_rad[axis] * counts), 0)
+                counts_per_rad = self.rig[f"encoder_counts_{axis}"].value / (2.0 * math.pi)
+                self._add("extra", f"{word}_raw", "", np.round(angle_rad * counts_per_rad), 0)
+        return extras
+
+    def _columns_like_voltages(
+        self, measured: _Measured, share: float, wants_currents: bool, wants_duties: bool
+    ) -> list[str]:
+        """Add columns that follow the voltages; return their kinds."""
+        random, words = self.random, self.words
+        extras: list[str] = []
+        step_s = 1.0 / self.rate_Hz
         for motor, word in zip(MOTORS, words.motors, strict=True):
-            volts = measured.volts_V[motor]
+            volts_V = measured.volts_V[motor]
             if wants_currents:
                 extras.append("currents")
-                current = 0.35 * _low_passed(volts, step_s, 0.05) + 0.02 * random.rng.standard_normal(
-                    volts.size
-                )
-                self._add("extra", words.current.format(word), "A", current, 3)
-            if (
-                roles == MOTORS
-                and not without_voltages
-                and self.voltage_unit == "V"
-                and random.chance(0.5 * share)
-            ):
+                noise_A = 0.02 * random.rng.standard_normal(volts_V.size)
+                current_A = 0.35 * _low_passed(volts_V, step_s, lag_s=0.05) + noise_A
+                self._add("extra", words.current.format(word), "A", current_A, 3)
+            if wants_duties and random.chance(0.5 * share):
                 extras.append("duties next to voltages")
-                duty = volts / self.rig["supply"].value * 100.0
-                self._add("extra", words.duty.format(word), "percent", np.round(duty), 0)
-        if self.supply is not None:
-            noise = 0.01 * random.rng.standard_normal(self.supply.size)
-            self._add("extra", words.supply, "V", self.supply + noise, 2)
+                duty_percent = volts_V / self.rig["supply"].value * 100.0
+                self._add("extra", words.duty.format(word), "percent", np.round(duty_percent), 0)
+        return extras
+
+    def _other_columns(self, measured: _Measured, share: float) -> list[str]:
+        """Add supply, temperature and a counter of rows; return the kinds that the traits name."""
+        random, words = self.random, self.words
+        row_count = measured.true_s.size
+        extras: list[str] = []
+        if self.battery_V is not None:
+            noise_V = 0.01 * random.rng.standard_normal(row_count)
+            self._add("extra", words.supply, "V", self.battery_V + noise_V, 2)
         elif random.chance(0.5 * share):
             extras.append("constant supply")
-            supply = self.rig["supply"].value * np.ones(measured.true_s.size)
-            self._add("extra", words.supply, "V", supply, 1)
+            self._add("extra", words.supply, "V", np.full(row_count, self.rig["supply"].value), 1)
         if random.chance(share):
             extras.append("temperature")
-            walk = 24.0 + 0.004 * np.cumsum(random.rng.standard_normal(measured.true_s.size))
-            self._add("extra", words.temperature, "C", walk, 1)
+            walk_C = 24.0 + 0.004 * np.cumsum(random.rng.standard_normal(row_count))
+            self._add("extra", words.temperature, "C", walk_C, 1)
         if random.chance(share):
             extras.append("counter")
-            self._add("extra", words.counter, "", np.arange(float(measured.true_s.size)), 0)
-        if without_voltages and wants_currents and self.style == "none":
-            self.unknown.append("currents")
-        self.traits += dict.fromkeys(extras)
+            self._add("extra", words.counter, "", np.arange(float(row_count)), 0)
+        return extras
 
     def _stall(self, measured: _Measured) -> None:
         """Let all angles keep their values for some time, as a logger does that misses its sensor."""
@@ -532,8 +592,7 @@ class _Drawing:
                 values = column.values.copy()
                 values[first:stop] = values[first]
                 self.columns[index] = replace(column, values=values)
-        self.stalled_s = (float(measured.true_s[first]), float(measured.true_s[stop]))
-        self.lost_s += self.stalled_s[1] - self.stalled_s[0]
+        self.lost_s += float(measured.true_s[stop]) - float(measured.true_s[first])
 
     def _two_rates(
         self, container: str, measured: _Measured, refusal: str, samples: dict[str, Samples]
@@ -545,9 +604,7 @@ class _Drawing:
             return False
         every = int(self.random.rng.integers(2, 6))
         while self.rate_Hz / every < 25.0:
-            every -= 1
-        if every < 2:
-            return False  # each row has voltages
+            every -= 1  # the voltages keep at least 25 Hz
         rows = np.arange(measured.true_s.size)
         is_sample = rows % every == int(self.random.rng.integers(every))
         is_held = self.random.chance(0.3)
@@ -578,7 +635,9 @@ class _Drawing:
         name = self.words.counter if kind == "rows" else "" if kind == "none" else self.words.time
         if kind == "rows" or (kind == "none" and self.random.chance(0.7)):
             rate_Hz = self.rate_Hz
-        columns = tuple(column for column in columns if kind != "rows" or not name or column.name != name)
+        if kind == "rows" and name:
+            # The row numbers are the clock already; an extra counter has the same name.
+            columns = tuple(column for column in columns if column.name != name)
         full_name, _ = self._header(name, clock.unit) if name else ("", "")
         has_names = self.style != "none"
         if clock.unit in ("ms", "us", "ns", "min") and self.unit_style in ("none", "row") and has_names:
@@ -602,11 +661,12 @@ class _Drawing:
     def _clock(self, kind: str, true_s: Floats) -> _Clock:
         """Write the time of each row in a `kind` of clock."""
         random = self.random
+        # A clock begins with the flight, when the logger boots, or long before the flight.
         start = random.choice(("0", "0", "boot", "late"))
         offsets_s = {"0": 0.0, "boot": random.between(1.0, 90.0), "late": random.between(200.0, 4000.0)}
         t_s = true_s - true_s[0] + offsets_s[start]
         since_start_s = t_s - t_s[0]
-        epoch_s = 1.70e9 + random.between(0.0, 6e7)
+        epoch_s = 1.70e9 + random.between(0.0, 6e7)  # November 2023 and the two years after it
         day_s = random.between(0.0, 80_000.0)
         if kind in ("s", "stamps", "recorder", "two clocks"):
             return _Clock(t_s, decimals=3 + int(random.rng.integers(4)))
@@ -620,6 +680,7 @@ class _Drawing:
         if kind == "epoch ms":
             return _Clock(np.floor((epoch_s + t_s) * 1e3), "ms", decimals=0)
         if kind == "five digits":
+            # With five digits, steps of 0.01 s or 0.1 s remain of so large times.
             offset_s = float(random.choice(("100", "1000"))) * random.between(1.0, 2.0)
             # Rounded for all containers: not each writes numbers as texts.
             values = np.array([float(f"{value:.5g}") for value in since_start_s + offset_s])
@@ -632,14 +693,14 @@ class _Drawing:
             return _Clock(values, decimals=decimals)
         if kind == "overflow 16 ms":
             remaining_ms = random.between(3e3, 2e4)  # Until the counter overflows
-            values = np.mod(np.floor(since_start_s * 1e3) + 65536.0 - remaining_ms, 65536.0)
-            self._note_overflow(np.floor(values))
-            return _Clock(np.floor(values), "ms", decimals=0)
+            values = np.floor(np.mod(np.floor(since_start_s * 1e3) + 2.0**16 - remaining_ms, 2.0**16))
+            self._note_overflow(values)
+            return _Clock(values, "ms", decimals=0)
         if kind == "overflow 32 us":
             remaining_us = random.between(3e6, 2e7)
-            values = np.mod(np.floor(since_start_s * 1e6) + 2.0**32 - remaining_us, 2.0**32)
-            self._note_overflow(np.floor(values))
-            return _Clock(np.floor(values), "us", decimals=0)
+            values = np.floor(np.mod(np.floor(since_start_s * 1e6) + 2.0**32 - remaining_us, 2.0**32))
+            self._note_overflow(values)
+            return _Clock(values, "us", decimals=0)
         if kind == "restart":
             first = int(true_s.size * random.between(0.35, 0.65))
             values = np.where(np.arange(true_s.size) < first, since_start_s, t_s - t_s[first])

@@ -85,7 +85,7 @@ def judge_import(case: LogCase, folder: Path) -> Score:
         arguments += ["--profile", str(_write_known(case, path, folder / "known.toml"))]
     guessed = _run_import(arguments, output, folder / "guess.json")
     if guessed.exit_code == 0:
-        return _judge_flights(case, guessed, ())
+        return _judge_flights(case, guessed, subjects=())
     if not guessed.subjects:
         return _judge_refusal(case, guessed)
     if "currents" in case.truth.unknown and "the columns" in guessed.subjects:
@@ -148,7 +148,7 @@ def _judge_refusal(case: LogCase, imported: _Import) -> Score:
     line = _error_line(imported.text)
     # The remedy after the semicolon is no reason.
     reason = line.partition("; ")[0].partition(": ")[2]
-    if imported.exit_code == 70:
+    if imported.exit_code == 70:  # the exit code of the command line after an unexpected exception
         return _score(case, WRONG_REASON, f"a defect of the program: {line}")
     if case.truth.refusal and re.search(case.truth.refusal, reason):
         return _score(case, REFUSED, line)

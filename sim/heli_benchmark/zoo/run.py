@@ -59,7 +59,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def score_case(seed: int, number: int, folder: Path, keep: Path | None = None) -> Score:
-    """Draw and judge one case."""
+    """Draw and judge one case; keep its files in the folder `keep`, if given."""
     flights = [kept_flight(recipe, folder) for recipe in RECIPES]
     return score_drawn(seed, number, flights, keep)
 
