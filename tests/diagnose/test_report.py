@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -75,6 +76,18 @@ def test_pictures_of_a_killed_process_are_drawn_in_this_process(tmp_path: Path) 
         assert str(first)
     assert (tmp_path / "1.png").read_bytes() == png_of(figure(1))
     assert (tmp_path / "2.png").read_bytes() == png_of(figure(2, 100_000))
+
+
+def test_no_figure_is_taken_while_another_thread_looks_for_one(tmp_path: Path) -> None:
+    drawn = Drawing()
+    drawn.add(figure(3), tmp_path / "3.png")
+    with drawn._more:  # as the thread of the second process does
+        finishing = threading.Thread(target=drawn.finish)
+        finishing.start()
+        finishing.join(timeout=0.05)
+        assert drawn.waiting == 1
+    finishing.join()
+    assert (tmp_path / "3.png").read_bytes() == png_of(figure(3))
 
 
 def test_without_a_process_all_pictures_are_drawn_in_this_process(

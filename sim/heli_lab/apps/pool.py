@@ -190,37 +190,37 @@ def der_simonian_laird(values: Sequence[float], stds: Sequence[float]) -> Random
     from scipy.stats import norm, t
 
     estimates, variances = np.array(values, float), np.array(stds, float) ** 2
-    k, fixed_weights = len(estimates), 1.0 / variances
+    rig_count, fixed_weights = len(estimates), 1.0 / variances
     fixed_effect_mean = float(fixed_weights @ estimates / fixed_weights.sum())
     q = float(fixed_weights @ (estimates - fixed_effect_mean) ** 2)
-    # The expectation of Q is k - 1 + tau^2 times this factor.
+    # The expectation of Q is rig_count - 1 + tau^2 times this factor.
     factor = float(fixed_weights.sum() - fixed_weights @ fixed_weights / fixed_weights.sum())
-    tau2 = max(0.0, (q - (k - 1)) / factor) if k > 1 else 0.0
+    tau2 = max(0.0, (q - (rig_count - 1)) / factor) if rig_count > 1 else 0.0
     weights = 1.0 / (variances + tau2)
     mean, std = float(weights @ estimates / weights.sum()), float(weights.sum() ** -0.5)
-    probability = 0.5 + CONFIDENCE / 2.0
+    probability = 0.5 + CONFIDENCE / 2.0  # of the upper end of a two-sided interval
     quantile = float(norm.ppf(probability))
-    if k > 1:
+    if rig_count > 1:
         # tau is an estimate too: with the normal quantile, the interval covers the mean of twelve rigs in 89
         # % of cases only. The correction of Hartung and Knapp makes it wider: Student's t, times the scatter
         # of the rigs in units of the one that the weights predict. A factor below 1 would make it narrower
         # whenever few rigs agree by chance.
-        relative_variance = float(weights @ (estimates - mean) ** 2) / (k - 1)
-        quantile = float(t.ppf(probability, k - 1)) * max(1.0, relative_variance**0.5)
+        relative_variance = float(weights @ (estimates - mean) ** 2) / (rig_count - 1)
+        quantile = float(t.ppf(probability, rig_count - 1)) * max(1.0, relative_variance**0.5)
     half_width = quantile * std
     prediction = None
-    if k > 2:
-        prediction_half_width = float(t.ppf(probability, k - 2)) * (tau2 + std**2) ** 0.5
+    if rig_count > 2:  # Student's t has rig_count - 2 degrees of freedom
+        prediction_half_width = float(t.ppf(probability, rig_count - 2)) * (tau2 + std**2) ** 0.5
         prediction = (mean - prediction_half_width, mean + prediction_half_width)
     return RandomEffects(
         mean=mean,
         std=std,
         tau=tau2**0.5,
         q=q,
-        i2=max(0.0, 1.0 - (k - 1) / q) if q > 0.0 else 0.0,
+        i2=max(0.0, 1.0 - (rig_count - 1) / q) if q > 0.0 else 0.0,
         interval=(mean - half_width, mean + half_width),
         prediction=prediction,
-        machines=k,
+        machines=rig_count,
     )
 
 
@@ -319,8 +319,8 @@ class RigPopulation:
         estimates = _estimates_of_parameter(self.diagnoses, name)
         if not estimates:
             return prior.value, prior.std
-        k = len(estimates)
-        variance_between_rigs = ((k - 1) * self.parameters[name].tau ** 2 + spread**2) / k
+        count = len(estimates)
+        variance_between_rigs = ((count - 1) * self.parameters[name].tau ** 2 + spread**2) / count
         weights = [1.0 / (estimate.std**2 + variance_between_rigs) for estimate in estimates]
         weight = sum(weights)
         mean = sum(w * estimate.value for w, estimate in zip(weights, estimates, strict=True)) / weight
@@ -344,7 +344,7 @@ class RigPopulation:
         numbers = dict(base.numbers)
         for quantity, base_number in base.numbers.items():
             if quantity not in self.parameters or base_number.tolerance == 0.0:
-                continue
+                continue  # not estimated, or exact by the rig file
             prior = ParameterEstimate(base_number.value, 0.5 * base_number.tolerance, base_number.unit)
             value, std = self.predict_parameter(quantity, prior, PRIOR_SPREAD * prior.std)
             text = f"{source}; before: {base_number.value:g} +- {base_number.tolerance:g}"

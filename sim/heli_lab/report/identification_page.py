@@ -43,6 +43,7 @@ def identification_figure(trace: Trace, role: str) -> Figure:
         above.plot(*broken_at_gaps(t_s, predicted), color=_PREDICTED, lw=0.8, label=label)
         above.set_ylabel(f"{axis} [deg]")
         error_deg = np.rad2deg(trace.residual[drawn_rows, index] * trace.sigma_rad[index])
+        # The error of rounding is uniform over a count, so its standard deviation is count / sqrt(12).
         count_deg = np.rad2deg(trace.sigma_rad[index]) * np.sqrt(12.0)
         below.axhspan(-0.5 * count_deg, 0.5 * count_deg, color="#e5e5e5", label="half a count")
         below.plot(*broken_at_gaps(t_s, error_deg), color=_RESIDUAL, lw=0.6)
@@ -115,7 +116,7 @@ def write_identification_report(
     identification: Identification, folder: str | Path, drawing: Drawing | None = None
 ) -> Path:
     """Write index.html, result.json and the figures into a folder; return the path of the page."""
-    drawing = drawing or Drawing()
+    drawing = drawing or Drawing()  # in this process
     folder = folder_with(identification.json(), folder)
     flights = [
         {

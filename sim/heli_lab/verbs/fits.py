@@ -136,7 +136,7 @@ def identify(
         comparison: RigComparison | None = None
         rig_lines: list[str] = []
         if save_rig is not None:
-            bar.show("forecasts", 0.88)
+            bar.show("forecasts", 0.88)  # about this share of the work is done
             identified_rig = identification.rig(save_rig.stem)
             files = _FlightFiles(paths, inputs.labels, spans, len(flights), allow_gaps)
             judged = files.held_out(records) if validation_paths else files.fitted(records)
@@ -300,7 +300,7 @@ def diagnose(
                 output_files.append(write_insufficient_excitation(result, report))
         else:
             if result.label != "explained" or save_rig is not None:
-                bar.show("forecasts", 0.93)
+                bar.show("forecasts", 0.93)  # about this share of the work is done
                 files = _FlightFiles(paths, inputs.labels, spans, len(flights), allow_gaps)
                 forecast = _forecaster(result, files, inputs, effect_file or ())
                 shares = _error_shares(result, forecast, files)

@@ -58,6 +58,7 @@ def tables(
     check_result_places(json)
     data_on_stdout(json)
     plant = _flyable_plant(rig, model)
+    # All numbers of the bar are rough shares of the time.
     with WorkBar() as bar:
         bar.show("bench tests", 0.0)
         records = _run_bench_tests(plant, seed)
@@ -181,6 +182,7 @@ def figures(
         save_figure(figure, folder / name, dpi=_DPI)
         figure_names.append(name)
 
+    # All numbers of the bar are rough shares of the time.
     with WorkBar() as bar:
         bar.show("bench tests", 0.0)
         write("fig15.png", figures.thrust_figure(read_thrust(plant, seed)))

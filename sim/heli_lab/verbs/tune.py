@@ -156,6 +156,7 @@ def _design_and_test(task: _Task, bar: WorkBar) -> _Result:
         task.rig,
         spread=None,
         sensitivity=task.sensitivity,
+        # The loop of elevation is designed first; the shares of the time are rough.
         on_progress=lambda stage: bar.show(stage, 0.05 if stage.startswith("elevation") else 0.2),
         model=MODELS[task.model_name],
         loop_effects=loop_effects,

@@ -51,7 +51,7 @@ def draw_rig(
     rig: Rig, effects: Sequence[str], draw: str | Mapping[str, Mapping[str, Any]], seed: int
 ) -> RigDraw:
     """Draw parameters of a rig and sizes of effects at random."""
-    random = np.random.default_rng([seed, 17])
+    random = np.random.default_rng([seed, 17])  # 17: a stream apart from the noise of the flight
     if isinstance(draw, str):
         if draw != TOLERANCES:
             raise CampaignError(f'unknown draw = "{draw}"', f'write draw = "{TOLERANCES}", or a table')
@@ -65,7 +65,7 @@ def draw_rig(
         for name in names:
             values[name] = _draw_from_distribution(rig[name].value, distribution, random)
         if names:
-            continue
+            continue  # the pattern is that of parameters, not the name of an effect
         if pattern not in effects_with_sizes or "range" not in distribution:
             raise CampaignError(
                 f"[draw] {pattern}: no number of rig {rig.name} and no effect of the case without a size",
@@ -101,6 +101,7 @@ def check_distribution(name: str, distribution: object) -> None:
         )
     form, value = next(iter(distribution.items()))
     numbers = value if isinstance(value, list | tuple) else [value]
+    # In Python, True is an int.
     valid = all(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers)
     if form == "share":
         valid = valid and len(numbers) == 1 and 0.0 <= numbers[0] < 1.0
@@ -155,6 +156,8 @@ DEFAULTS: Final[Settings] = {
     "budget": 80,
 }
 """Settings that a case may have, with their default values."""
+_SURE_CONFIDENCE: Final = 0.9
+"""Confidence from which on a cause that is not hidden counts as `wrongly_sure`."""
 _VALIDATION_SEED: Final = 500_000
 """Added to the seed of a case for its validation flight."""
 
@@ -198,6 +201,7 @@ def identify(settings: Settings) -> Result:
         threads=settings["threads"],
     )
     fit = identification.fit
+    # The zeros of the encoders differ from flight to flight, so they have no true value in the rig.
     errors_in_std = {
         name: (value - true[name].value) / fit.std[name]
         for name, value in fit.params.items()
@@ -241,7 +245,7 @@ def diagnose(settings: Settings) -> Result:
     )
     report = to_json(diagnosis)
     diagnosed = {cause["effect"] for cause in report["causes"]}
-    confident = {cause["effect"] for cause in report["causes"] if cause["confidence"] >= 0.9}
+    confident = {cause["effect"] for cause in report["causes"] if cause["confidence"] >= _SURE_CONFIDENCE}
     normalised = report["residual"]["normalised"]
     row = {
         "outcome": _first_failed_outcome(training, validation),

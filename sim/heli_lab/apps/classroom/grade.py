@@ -176,6 +176,7 @@ def grade(
     plant: LinearPlant | None = None,
 ) -> LawGrade:
     """Fly a law on each rig with each seed, and grade it; without `program`, the board's own law."""
+    # Without a linear `plant`, the margins are unknown.
     scores: list[FlightScore] = []
     first_flight: Flight | None = None
     try:

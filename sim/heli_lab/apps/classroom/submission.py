@@ -71,7 +71,7 @@ def submissions_in(folder: Path) -> list[Path]:
 
 
 def read_submission(folder: Path, limits: FileLimits, rig: str | None = None) -> Submission:
-    """Read a submission; the file of its law is run in a fenced process."""
+    """Read a submission; the file of its law, which may depend on a `rig`, is run in a fenced process."""
     if folder.is_symlink():
         raise BadLaw(f"{folder.name} is a link", "submit the folder itself")
     scripts, tables = _scripts_and_tables(folder)
@@ -184,7 +184,7 @@ def returned_files(folder: Path) -> Iterator[Path]:
                     if _RIG_FILES.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                         path.rename(Path(temporary_folder) / path.name)
                 shutil.rmtree(marked_folder)
-            Path(temporary_folder).chmod(0o755)
+            Path(temporary_folder).chmod(0o755)  # a temporary folder can be read by its owner only
             Path(temporary_folder).rename(marked_folder)
             # TemporaryDirectory needs a folder that it can remove.
             Path(temporary_folder).mkdir()

@@ -102,7 +102,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         self._simulator: Simulator = PlantAlone() if through == "plant" else BoardInLockstep()
         self._setpoint_range_rad = float(np.deg2rad(setpoint_deg))
         self._previous_rad = np.zeros(3)
-        self._setpoint = np.zeros(3)
+        self._setpoint_rad = np.zeros(3)
         self._has_ended = True
 
     def reset(
@@ -126,14 +126,19 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
         """
         super().reset(seed=seed, options=options)
         drawn = self.domain.draw(self.np_random)
-        state = np.zeros(6)
-        state[:3] = np.deg2rad(_START_DEG) * self.np_random.uniform(-1.0, 1.0, 3)
-        self._setpoint = self._setpoint_range_rad * self.np_random.uniform(-1.0, 1.0, 3) * [1.0, 0.0, 1.0]
+        angles_rad = np.deg2rad(_START_DEG) * self.np_random.uniform(-1.0, 1.0, 3)
+        at_rest_rad_s = np.zeros(3)
+        # Pitch has no setpoint. Its number is drawn all the same, so that a seed keeps its episodes.
+        elevation_rad, _, travel_rad = self._setpoint_range_rad * self.np_random.uniform(-1.0, 1.0, 3)
+        self._setpoint_rad = np.array([elevation_rad, 0.0, travel_rad])
         simulator_seed = int(self.np_random.integers(1, 2**31 - 1))
+        state = np.concatenate((angles_rad, at_rest_rad_s))
         result = self._simulator.reset(drawn, state, self.hover_V, simulator_seed)
         self._previous_rad = result.angles_rad
         self._has_ended = False
-        return self._observation(result.angles_rad, np.zeros(2)), {"rig": drawn.rig, "effects": drawn.effects}
+        hover_action = np.zeros(2)
+        observation = self._observation(result.angles_rad, hover_action)
+        return observation, {"rig": drawn.rig, "effects": drawn.effects}
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Hold two voltages for `ACTION_STEP_s`.
@@ -168,13 +173,15 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
             raise LearningError(f"the action {action} is not two numbers", "check the policy")
         clipped_action = np.clip(shares, -1.0, 1.0)
         volts_V = np.maximum(self.hover_V + AUTHORITY_V * clipped_action, 0.0)
-        result = self._simulator.step(volts_V, round(ACTION_STEP_s * 1e3))
+        result = self._simulator.step(volts_V, ticks=round(ACTION_STEP_s * 1e3))
         observation = self._observation(result.angles_rad, clipped_action)
         self._previous_rad = result.angles_rad
-        if not result.flying:
+        terminated, truncated = not result.flying, False
+        if terminated:
             self._has_ended = True
-            return observation, 0.0, True, False, {"why": result.reason}
-        return observation, self._reward(result.angles_rad - self._setpoint, clipped_action), False, False, {}
+            return observation, 0.0, terminated, truncated, {"why": result.reason}
+        reward = self._reward(result.angles_rad - self._setpoint_rad, clipped_action)
+        return observation, reward, terminated, truncated, {}
 
     def close(self) -> None:
         """End the simulation; further calls have no effect."""
@@ -184,7 +191,7 @@ class HoverEnv(gymnasium.Env[Observation, Action]):
     def _observation(self, angles_rad: Floats, action: Floats) -> Observation:
         """Assemble the observation, shape (8,), from the measured angles and the last action."""
         rates = (angles_rad - self._previous_rad) / ACTION_STEP_s
-        observation = np.concatenate((angles_rad - self._setpoint, rates, action))
+        observation = np.concatenate((angles_rad - self._setpoint_rad, rates, action))
         return np.clip(observation, -_OBSERVATION_LIMITS, _OBSERVATION_LIMITS).astype(np.float32)
 
     @staticmethod

@@ -21,7 +21,7 @@ from heli_host.board.rest_check import ANGLE_SHIFTED
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_log
-from heli_host.declaration import Axes, State
+from heli_host.declaration import AXES, Axes, State
 from heli_host.fly.plan import Plan, take_off
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import Progress
@@ -227,18 +227,19 @@ def board_on(plant: Plant, seed: int, elevation_deg: float) -> Iterator[tuple[He
 def run_bench_test(test: BenchTest, plant: Plant, seed: int = 1) -> Flight:
     """Run a bench test, and return its flight with one row per tick; time 0 is at the release."""
     powered = test.front_V > 0.0 or test.back_V > 0.0
+    no_loops = Axes(0)  # constant voltages
     with board_on(plant, seed, test.elevation_deg) as (heli, world), tempfile.TemporaryDirectory() as folder:
         if powered:
             heli.arm()
-            heli.control(Axes(0))
+            heli.control(no_loops)
         state = world.state
-        state[1] = np.deg2rad(test.pitch_deg)
+        state[AXES.index("pitch")] = np.deg2rad(test.pitch_deg)
         world.state = state
         heli.wait(_SETTLE_S)
         path = Path(folder) / "test.mcap"
         with Recorder(heli, path):
             if powered:
-                heli.control(Axes(0), test.front_V, test.back_V)
+                heli.control(no_loops, test.front_V, test.back_V)
             world.native.locked = list(test.locked)
             # Board and simulation count the same milliseconds.
             release_tick = world.tick + _MARGIN_TICKS
@@ -319,7 +320,9 @@ def fly_plan(
     seed: int = 1,
     on_progress: Callable[[float], None] | None = None,
 ) -> PaperFlight:
-    """Fly one of the plans behind Figs. 21 to 25; a flight that ends with a fault is also returned."""
+    """Fly one of the plans behind Figs. 21 to 25; a flight that ends with a fault is also returned. Without
+    `gains`, a name or file, the board has its own; `on_progress` takes the completed share.
+    """
     plan = Plan.parse(PLANS[name], f"plan {name}", name)
     length_s = plan.duration_s + plan.start.settle_s
 

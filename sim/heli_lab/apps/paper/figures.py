@@ -106,7 +106,8 @@ def sensitivity_figure(rig: Rig) -> Figure:
         changed = base | {name: factor * base[name] for name, factor in case.changes.items()}
         width = 1.8 if not case.changes else 1.1
         elevation_deg = response_deg(changed, test, t_s)
-        # Without an upper stop, some responses grow without limit; nothing above 60 deg is visible.
+        # Without an upper stop, some responses grow without limit. The panel ends at 60 deg, so that lines up
+        # to 90 deg leave it.
         visible_deg = np.where(elevation_deg < 90.0, elevation_deg, np.nan)
         panel.plot(t_s, visible_deg, color=colour, lw=width, label=case.label)
     panel.set_ylim(-30.0, 60.0)

@@ -66,18 +66,19 @@ def verdicts(model: Model, rig: Rig) -> list[LoopVerdict]:
     results = []
     for gains, reading, derivative in itertools.product(("printed", "corrected"), READINGS, DERIVATIVES):
         law = _TiltGains.of(gains, plant.pitch_per_unit(reading), derivative)
-        closed_loop = plant.closed(law, 0.0)
+        closed_loop = plant.closed(law, lag_s=0.0)
         dominant = _dominant_pole(closed_loop)
-        stable = dominant.real < 0.0
-        peak_deg, settling_time_s = _travel_step_metrics(closed_loop) if stable else (math.inf, math.inf)
+        is_stable = dominant.real < 0.0
+        has_period = abs(dominant.imag) > 1e-9  # a real pole has none
+        peak_deg, settling_time_s = _travel_step_metrics(closed_loop) if is_stable else (math.inf, math.inf)
         results.append(
             LoopVerdict(
                 gains,
                 reading,
                 derivative,
                 growth_1_per_s=float(dominant.real),
-                period_s=2.0 * math.pi / abs(dominant.imag) if abs(dominant.imag) > 1e-9 else math.inf,
-                lag_s=_max_stable_lag_s(plant, law) if stable else 0.0,
+                period_s=2.0 * math.pi / abs(dominant.imag) if has_period else math.inf,
+                lag_s=_max_stable_lag_s(plant, law) if is_stable else 0.0,
                 peak_deg=peak_deg,
                 settling_time_s=settling_time_s,
             )

@@ -122,7 +122,7 @@ class Table:
 def fit_table(
     number: int, rig: Rig, records: Sequence[Record], on_progress: Callable[[float], None] | None = None
 ) -> Table:
-    """Fit (30) to the bench tests of a table."""
+    """Fit (30) to the bench tests of a table; `on_progress` takes the completed share."""
     from_masses, plan = analytic(rig), _PLANS[number]
     # A coefficient that contains the terms of absorbed ones starts at their sum.
     start = from_masses | dict.fromkeys(plan.absorbed, 0.0)
@@ -303,7 +303,7 @@ def fit_rig(
     line: Line,
     on_progress: Callable[[float], None] | None = None,
 ) -> RigTable:
-    """Fit the multibody model to the bench tests of each table."""
+    """Fit the multibody model to the bench tests of each table; `on_progress` takes the completed share."""
     best = {
         "thrust_gain": _ParameterEstimate(line.gain_N_per_V, line.gain_half, "Fig. 15"),
         "dead_zone": _ParameterEstimate(line.dead_zone_V, line.dead_zone_half, "Fig. 15"),

@@ -15,7 +15,7 @@ from heli_lab.explain.candidates import QUANTITIES
 from heli_lab.explain.comparison import Round
 from heli_lab.explain.contributions import TIME, MissingTerm, SplineCurve, accelerations
 from heli_lab.explain.prediction import ErrorReduction
-from heli_lab.explain.proposal import ProposedTerm, latex
+from heli_lab.explain.proposal import ProposedTerm, TermTrace, latex
 from heli_lab.explain.residuals import FailingRegions, RegionTest
 from heli_lab.explain.result import Diagnosis
 from heli_lab.explain.thresholds import FALSE_DISCOVERY_RATE
@@ -178,6 +178,7 @@ def _draw_round(round_: Round, number: int, panel: Axes) -> None:
     )
     names = [readable_id(scored.candidate.id) for scored in candidates]
     rows = np.arange(len(candidates))
+    # On a logarithmic axis, a bar of 0 cannot be drawn; 0.1 is left of the axis.
     gains = [max(scored.log_likelihood_gain, 0.1) for scored in candidates]
     panel.barh(rows, gains, color="#dddddd", label="score test")
     for row, scored in enumerate(candidates):
@@ -186,9 +187,11 @@ def _draw_round(round_: Round, number: int, panel: Axes) -> None:
             color = AFTER if scored.candidate.id == round_.accepted_id else "#8fb3d1"
             panel.barh(row, max(refit.gain, 0.1), height=0.4, color=color)
             text = f"  {refit.gain:.0f} refitted"
-            panel.text(max(scored.log_likelihood_gain, refit.gain, 1.0), row, text, va="center", fontsize=7)
+            end_of_bars = max(scored.log_likelihood_gain, refit.gain, 1.0)
+            panel.text(end_of_bars, row, text, va="center", fontsize=7)
     panel.set_xscale("log")
     largest_gain = max([*gains, *(refit.gain for refit in refits.values())])
+    # Five times the largest gain leaves space for the texts.
     panel.set_xlim(1.0, max(10.0, 5.0 * largest_gain))
     panel.set_yticks(rows, names, fontsize=8)
     outcome = f"accepted: {readable_id(round_.accepted_id)}" if round_.accepted_id else "nothing accepted"
@@ -365,6 +368,7 @@ def _draw_missing_term(term: MissingTerm, before: Axes, after: Axes) -> None:
     _draw_dots(after, term.remaining, term)
     quantity, contribution = term.quantity, term.contribution
     if term.what == "torque" and term.on != TIME:
+        # The contribution may depend on more than this quantity: its means are a line, its dots a cloud.
         quantity, contribution = bin_means(quantity, contribution, 4 * _BINS)
     line = broken_at_gaps(quantity, contribution) if term.on == TIME else (quantity, contribution)
     before.plot(*line, color=AFTER, lw=1.4 if term.on == TIME else 2.2, label=label)
@@ -377,7 +381,8 @@ def _draw_missing_term(term: MissingTerm, before: Axes, after: Axes) -> None:
         panel.axhline(0.0, color="#9aa0a6", lw=0.8, zorder=0)
         panel.set_xlabel(f"{term.on} [{term.on_unit}]", fontsize=10)
         panel.grid(alpha=0.25)
-    bar = 2.0 * term.std if term.what == "angle" else np.zeros(1)
+    # The limits of the panels leave out the tails, in which few dots are far away.
+    bar = 2.0 * term.std if term.what == "angle" else np.zeros(1)  # only angles have error bars
     values = np.concatenate((term.missing - bar, term.missing + bar, term.remaining, term.contribution))
     low, high = np.quantile(values, [_TAIL, 1.0 - _TAIL])
     margin = 0.12 * (high - low)
@@ -533,12 +538,14 @@ def figure_of_gain(
     panels = figure.subplots(1, 3)
     figure.subplots_adjust(left=0.065, bottom=0.155, right=0.985, top=0.83, wspace=0.18)
     positions = np.arange(len(horizons))
+    bar_width = 0.32
+    offset = 0.18 if extended else 0.0  # two bars stand next to each other, a single one in the middle
     for axis, panel, rounding_deg in zip(AXES, panels, np.rad2deg(rounding_rad), strict=True):
         reductions = [horizon[axis] for horizon in horizons.values()]
         before_deg = np.array([reduction.before_deg for reduction in reductions])
         after_deg = np.array([reduction.after_deg for reduction in reductions])
         interval_deg = before_deg * np.array([reduction.interval95 for reduction in reductions]).T
-        panel.bar(positions - (0.18 if extended else 0.0), before_deg, 0.32, color=BEFORE, label="baseline")
+        panel.bar(positions - offset, before_deg, bar_width, color=BEFORE, label="baseline")
         panel.set_xticks(positions, [f"{key} s" for key in horizons])
         panel.axhline(rounding_deg, color=MEASURED, lw=1.0, ls="--", label="rounding of the encoder alone")
         panel.set_title(axis, fontsize=10.5, loc="left")
@@ -546,12 +553,13 @@ def figure_of_gain(
         panel.grid(axis="y", alpha=0.25)
         panel.set_axisbelow(True)
         if not extended:
+            # A range from 0 to 0 is invalid.
             panel.set_ylim(0.0, 1.5 * float(max(before_deg.max(), rounding_deg)) or 1.0)
             continue
-        panel.bar(positions + 0.18, after_deg, 0.32, color=AFTER, label="extended")
+        panel.bar(positions + offset, after_deg, bar_width, color=AFTER, label="extended")
         whiskers_deg = np.abs(interval_deg - after_deg)
         panel.errorbar(
-            positions + 0.18,
+            positions + offset,
             after_deg,
             whiskers_deg,
             fmt="none",
@@ -595,21 +603,7 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
         figure.add_subplot(cell) for cell in (grid[0, :], grid[1, 0], grid[1, 1])
     )
     missing_mNm, term_mNm = 1e3 * trace.missing_Nm, 1e3 * trace.term_Nm
-    std_mNm = 1e3 * trace.std_Nm
-    time_panel.fill_between(
-        trace.t_s, missing_mNm - 2 * std_mNm, missing_mNm + 2 * std_mNm, color=_MISSING, alpha=0.25, lw=0
-    )
-    time_panel.plot(
-        trace.t_s,
-        missing_mNm,
-        color=_MISSING,
-        lw=0.9,
-        label="missing without the equation, with two standard errors",
-    )
-    time_panel.plot(trace.t_s, term_mNm, color=_TERM, lw=1.3, label="equation")
-    time_panel.set_xlabel(f"time in {trace.label} [s]")
-    time_panel.set_ylabel(f"torque about {trace.axis} [mN m]")
-    time_panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, fontsize=8, frameon=False)
+    _draw_equation_over_time(time_panel, trace)
     thinned_rows = thinned(len(term_mNm), _POINTS)
     scatter_panel.plot(
         term_mNm[thinned_rows], missing_mNm[thinned_rows], ".", color=_MISSING, ms=2.5, alpha=0.6
@@ -633,6 +627,20 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
     )
     figure.suptitle(f"${latex(proposed.equation, proposed.numbers)}$   on {flight_text}", fontsize=11)
     return figure
+
+
+def _draw_equation_over_time(panel: Axes, trace: TermTrace) -> None:
+    """Draw the missing torque with two standard errors, and the torque of the equation, over time."""
+    missing_mNm, two_std_mNm = 1e3 * trace.missing_Nm, 2e3 * trace.std_Nm
+    panel.fill_between(
+        trace.t_s, missing_mNm - two_std_mNm, missing_mNm + two_std_mNm, color=_MISSING, alpha=0.25, lw=0
+    )
+    label = "missing without the equation, with two standard errors"
+    panel.plot(trace.t_s, missing_mNm, color=_MISSING, lw=0.9, label=label)
+    panel.plot(trace.t_s, 1e3 * trace.term_Nm, color=_TERM, lw=1.3, label="equation")
+    panel.set_xlabel(f"time in {trace.label} [s]")
+    panel.set_ylabel(f"torque about {trace.axis} [mN m]")
+    panel.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=2, fontsize=8, frameon=False)
 
 
 def figure_of_failing_regions(all_regions: Sequence[FailingRegions], models: Sequence[str]) -> Figure:
@@ -663,7 +671,8 @@ def _regions_row(
 ) -> None:
     """Draw the plane of one axis for each model, with a colour bar of the missing torque."""
     torques = np.concatenate([np.abs(flight.torque_Nm) for flight in regions.before.flights])
-    color_limit_mNm = 1e3 * float(np.quantile(torques, 0.98)) or 1.0  # a colour range of 0 is invalid
+    # Single large torques must not make all others pale; a colour range of 0 is invalid.
+    color_limit_mNm = 1e3 * float(np.quantile(torques, 0.98)) or 1.0
     (x_factor, x_unit), (y_factor, y_unit) = (
         _display_factor_and_unit(regions.x),
         _display_factor_and_unit(regions.y),

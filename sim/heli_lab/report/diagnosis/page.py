@@ -465,6 +465,8 @@ def write_report(
     shares: ErrorShares | None = None,
 ) -> Path:
     """Write a report: index.html, result.json, figures as PNG, and the effect file of a proposed equation."""
+    # Without a `drawing`, this process renders the figures. Without `shares` of the forecast error, the page
+    # has no section on them.
     drawing = drawing or Drawing()
     numbers = to_json(diagnosis, shares)
     folder = folder_with(numbers, folder)

@@ -60,7 +60,7 @@ class Drawing:
     def __init__(self, use_process: bool = False, vector_format: str | None = None) -> None:
         self._vector_format = vector_format
         self._waiting: deque[Picture] = deque()
-        # Notified when the queue changes.
+        # Held while the queue changes; notified when it has more figures, or is closed.
         self._more = threading.Condition()
         self._is_closed = not use_process
         self.process: subprocess.Popen[bytes] | None = None
@@ -74,7 +74,8 @@ class Drawing:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._waiting.clear()
+        with self._more:
+            self._waiting.clear()
         self.close()
 
     @property
@@ -109,11 +110,11 @@ class Drawing:
 
     def _draw_waiting_figures(self) -> None:
         """Draw waiting figures in this process until none is left."""
-        while self._waiting:
-            try:
+        while True:
+            with self._more:
+                if not self._waiting:
+                    return
                 picture = self._waiting.pop()
-            except IndexError:  # the second process took it
-                return
             picture.store(png_of(picture.figure))
 
     def _take_next_figure(self) -> Picture | None:
@@ -148,7 +149,8 @@ class Drawing:
                     png = b""
                 if not png:
                     # This process renders the figure, and an error then reaches the caller.
-                    self._waiting.appendleft(picture)
+                    with self._more:
+                        self._waiting.appendleft(picture)
                     break
             # The process may still be starting, and has no other work.
             process.kill()

@@ -91,7 +91,8 @@ def calibrate(
     """Calibrate encoders and motors of a connected board.
 
     Parameters of the board change in its memory only, and are restored at the end. Before that, the motors
-    are switched off, also after an error.
+    are switched off, also after an error. `mark` is called with the name of each stage. `check` is called
+    again and again, and raises an error that ends the calibration. Without `limits`, those of the rig apply.
     """
     _check_idle(heli)
     _check_counts(heli, rig)

@@ -154,7 +154,8 @@ class _Pulser:
         series = _Series()
         volts_V, step_V = start_V, _STEP_V
         peaks: list[_Peak] = []
-        while volts_V <= self._limits.max_V + 1e-9 and len(series.pulses) < _MOVING_PULSES:
+        rounding_V = 1e-9
+        while volts_V <= self._limits.max_V + rounding_V and len(series.pulses) < _MOVING_PULSES:
             pulse = self.pulse(volts_V)
             response = _response_counts(pulse, self._count_rad, self._rig if self._drifts else None)
             if abs(response.change) > max(_MOVED_counts, _MOVED_STDS * response.std):
@@ -243,7 +244,8 @@ class _Pulser:
         heli.control(Axes(0))
         front_V, back_V = (volts_V if output == self._output else 0.0 for output in MOTOR_OUTPUTS)
         heli.excite(Excitation.STEP, front_V, back_V, duration_s=_PULSE_s)
-        end_s = heli.latest.t_s + _PULSE_s + _AFTER_s + 0.2
+        margin_s = 0.2  # for the message that starts the pulse
+        end_s = heli.latest.t_s + _PULSE_s + _AFTER_s + margin_s
         while (sample := heli.latest).t_s < end_s:
             if sample.state is not State.OPEN_LOOP:
                 if sample.fault:
@@ -262,6 +264,7 @@ class _Pulser:
                 raise FlightAborted("the stop key was pressed; the motors are off")
             self._check()
             heli.wait(_POLL_s)
+        # 1 s more than needed: `_pulse_of_samples` finds the pulse by its voltages.
         return heli.samples(_BEFORE_s + _PULSE_s + _AFTER_s + 1.0)
 
     def _drifts_slowly(self, pitch_deg: Floats, count_deg: float) -> bool:
@@ -366,7 +369,7 @@ def response_design(stiffness: float, damping: float, lag_s: float) -> Floats:
     Pitch obeys phi'' = -stiffness phi - damping phi' + a, where the acceleration a by the thrust follows the
     voltage with a first-order lag.
     """
-    lag_s = max(lag_s, 1e-3)
+    lag_s = max(lag_s, 1e-3)  # the matrix contains 1 / lag_s
     state_matrix = np.array(
         [
             [0.0, 1.0, 0.0, 0.0],

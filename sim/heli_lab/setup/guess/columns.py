@@ -172,7 +172,7 @@ def _driven_rows(table: Table, t_s: Floats) -> tuple[Integers, tuple[float, floa
     for name, column in table.columns.items():
         meaning = meaning_of(name, column.unit)
         if meaning.quantity or not np.isfinite(column.values).any():
-            continue
+            continue  # neither an angle nor a voltage, or without a number
         if set(meaning.possible_roles) <= set(VOLTAGE_ROLES):
             motors.append(column.values)
         if meaning.role in AXES:
@@ -180,13 +180,16 @@ def _driven_rows(table: Table, t_s: Floats) -> tuple[Integers, tuple[float, floa
     rows = np.arange(t_s.size)
     if len(motors) < len(PAIR) or not angles:
         return rows, None
-    is_first, is_last = (
+    # Shape (n,): whether all motors still have their first value, which is off, or already have their last.
+    is_off_at_start, is_off_at_end = (
         np.logical_and.reduce([_keeps_end(values, end) for values in motors]) for end in (0, -1)
     )
-    if is_first.all() or is_last.all():
-        return rows, None
-    before = t_s < t_s[int(np.argmin(is_first))] - _REST_S
-    after = t_s > t_s[t_s.size - 1 - int(np.argmin(is_last[::-1]))] + _FALL_S
+    if is_off_at_start.all() or is_off_at_end.all():
+        return rows, None  # the motors never change
+    first_driven_row = int(np.argmin(is_off_at_start))
+    last_driven_row = t_s.size - 1 - int(np.argmin(is_off_at_end[::-1]))
+    before = t_s < t_s[first_driven_row] - _REST_S
+    after = t_s > t_s[last_driven_row] + _FALL_S
     by_hand = [
         part
         for part in (before, after)
@@ -273,24 +276,26 @@ class ColumnOptions:
         """Describe a table in which columns of some roles are missing."""
         detail = f"; {self.left_out_text}" if self.left_out else ""
         has_angles = all(self.by_role[axis] for axis in AXES)
+        voltage_count = sum(bool(self.by_role[role]) for role in VOLTAGE_ROLES)
         pulses = [name for name, reason in self.left_out.items() if reason == PULSES]
-        if len(pulses) == len(PAIR) and sum(map(bool, map(self.by_role.get, VOLTAGE_ROLES))) < len(PAIR):
+        if len(pulses) == len(PAIR) and voltage_count < len(PAIR):
             return FlightDataError(
                 f"{source}: the motors have widths of pulses ({' and '.join(pulses)}), and the file does not "
                 "state the widths at rest and at full voltage",
                 'state both in a profile: for 1000 to 2000 us and 12 V, unit = "pwm", full = 1000 and '
                 "offset_V = -12",
             )
-        if has_angles and not any(self.by_role[role] for role in VOLTAGE_ROLES):
+        if has_angles and not voltage_count:
             return FlightDataError(f"{source}: no column is a motor voltage{detail}", _FIX)
         named_axes = [axis for axis in AXES if axis in self.stated]
-        if len(named_axes) == 2 and not all(self.by_role[axis] for axis in AXES):
+        if len(named_axes) == 2 and not has_angles:
             constant = [f"'{name}' is constant" for name in _constant_angles(self.left_out).values()]
             angles: dict[str, str] = {axis: self.by_role[axis][0] for axis in named_axes}
             return two_angles_only(source, angles, " and ".join(constant))
         columns = ", ".join(self.columns()) or "none"
         missing = [axis for axis in AXES if not self.by_role[axis]]
-        missing += ["a motor voltage"] * (not any(self.by_role[role] for role in VOLTAGE_ROLES))
+        if not voltage_count:
+            missing.append("a motor voltage")
         if len(self.columns()) >= len(AXES) + 2 and missing:
             return FlightDataError(
                 f"{source}: no column can be {' or '.join(missing)}; possible for the others: "
@@ -435,6 +440,7 @@ def _sorted_by_meaning(
             others = [name for name in columns if name not in (*voltages, *known.columns)]
             left_out |= dict.fromkeys(others, f"{voltages[0]} states a voltage")
             columns[:] = [name for name in columns if name not in others]
+        # Measured angles first, and among them those of encoders: the first column is kept of each copy.
         columns.sort(key=lambda name: (not meanings[name].is_measured, name not in first.encoders))
         measured = [name for name in columns if meanings[name].is_measured]
         named[role] = _without_copies(first, role, columns, measured, left_out)
@@ -710,7 +716,7 @@ def ranked_assignments(
             polarity = (first_polarity, second_polarity if roles == PAIR else 1.0)
             for pitch, travel in itertools.product(options.by_role["pitch"], options.by_role["travel"]):
                 if len({first, second, pitch, travel}) < 4:
-                    continue
+                    continue  # a column has one role
                 nats_of_others = nats("pitch", difference_cause, pitch) + nats("travel", (pitch,), travel)
                 # The runner-up shows how sure the choice of elevation is; further ones would show nothing.
                 for elevation in [name for name in elevations if name not in (pitch, travel)][:2]:
@@ -788,7 +794,7 @@ def _contradictions(
         each for each in ranked_assignments(files, options, reference) if each.columns == best.columns
     )
     if by_motion.log_likelihood - as_named.log_likelihood < DECISIVE_NATS:
-        return []
+        return []  # in doubt, the names count
     return [
         Ambiguity(
             "the columns",
@@ -818,7 +824,7 @@ def check_voltages(
 ) -> list[Ambiguity]:
     """Refuse columns without the names of voltages that do not act like voltages; report a doubtful sum."""
     if options.stated.issuperset(role for role in best.columns if role in VOLTAGE_ROLES):
-        return []
+        return []  # their names state what they are
     followed = [
         f"{axis} follows {column}"
         for axis, column, role in zip(("elevation", "pitch"), best.voltages, SUMS, strict=True)
@@ -870,6 +876,7 @@ def _is_followed(signals: Signals, column: str, axis: str) -> bool:
     for lag_s in _FOLLOWING_LAGS_S:
         setpoint = delay(signals.filtered[column].value, lag_s)
         if abs_correlation(setpoint, value) > _FOLLOWED:
+            # A setpoint in the same unit has a slope of about 1; voltages have any.
             slope = float(np.cov(setpoint, value)[0, 1] / setpoint.var())
             return 0.5 < slope < 2.0
     return False
@@ -881,7 +888,7 @@ def _doubtful_sum(elevation: RegressionFit, best: Assignment, options: ColumnOpt
     others = [name for name in options.columns() if name not in best.columns.values()]
     others += [f"{name} ({reason})" for name, reason in options.left_out.items() if reason != "constant"]
     if nats >= DECISIVE_NATS or not others:
-        return []
+        return []  # no doubt, or no other column to look up
     return [
         Ambiguity(
             "the sum's column" if best.summed else "the voltages' columns",

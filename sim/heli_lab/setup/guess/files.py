@@ -48,7 +48,7 @@ def output_names(paths: Sequence[Path]) -> list[str]:
     for path, name in zip(paths, names, strict=True):
         other = first_paths.setdefault(name, path)
         if other is path:
-            continue
+            continue  # the first file of this name
         if other.resolve() == path.resolve():
             raise FlightDataError(f"{path} is given twice", "give each file once")
         raise FlightDataError(

@@ -255,15 +255,17 @@ def _ridge_regression(motion: _AxisMotion, cause: Floats, stiffness: Normal, row
 
     def solve(count: int) -> tuple[Floats, float]:
         """Coefficients of the first `count` columns, and the mean of squared residuals plus penalty."""
+        # The last summand keeps the equations solvable if a column is constant.
         penalty = np.diag(noise_variance / prior_std[:count] ** 2 + 1e-9 * len(y))
         solution = np.linalg.solve(normal_matrix[:count, :count] + penalty, right_side[:count])
         return solution, (sum_of_squares - float(solution @ right_side[:count])) / len(y)
 
-    # The penalty depends on the variance of the noise, which only the residuals give.
+    # The penalty depends on the variance of the noise, which only the residuals give: three rounds settle it.
     for _ in range(3):
         _, variance_without_cause = solve(without_cause)
         solution, variance_with_cause = solve(with_cause)
         gain = float(solution[cause_column] / scale[cause_column])
+        # A perfect fit, or an axis at rest, must not give 0.
         noise_variance = max(variance_with_cause, 1e-12 * float(y.var()) + 1e-300)
     independent_samples = len(y) * _DECIMATION * SAMPLE_STEP_s * _INDEPENDENT_SAMPLES_Hz
     log_ratio = float(np.log(max(variance_without_cause, 1e-300) / max(variance_with_cause, 1e-300)))

@@ -332,7 +332,7 @@ def _without_shared_words(meanings: Mapping[str, ColumnMeaning]) -> dict[str, Co
         stated = {role for role in roles.values() if role in AXES}
         others = [other for other in AXES if other not in stated]
         if len(stated) < 2:
-            continue
+            continue  # the other words do not distinguish the axes
         unknown = [set(words[name]) - shared for name, role in roles.items() if role not in AXES]
         if len(others) == 1 and unknown and set.intersection(*unknown):
             roles = {name: role if role in AXES else others[0] for name, role in roles.items()}

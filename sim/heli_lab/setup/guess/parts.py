@@ -146,12 +146,13 @@ def _impossible_values(flight: Flight) -> list[Ambiguity]:
 def _changed_rate(table: Table, profile: Profile) -> list[Ambiguity]:
     """Report a clock whose step changes for good, as if it changed its rate."""
     if not profile.time:
-        return []
+        return []  # the user has stated a constant rate
     t_s = times_of(table, profile)
     steps_s = np.diff(t_s)
+    # Shape (blocks, rows of a block); the rows that fill no block are left out.
     blocks = steps_s[: steps_s.size // _BLOCK_ROWS * _BLOCK_ROWS].reshape(-1, _BLOCK_ROWS)
     if len(blocks) < 2 or not (steps_s > 0.0).all():
-        return []
+        return []  # nothing to compare, or ratios of steps have no meaning
     # Short, typical and long steps of each block.
     low_s, median_s, high_s = np.quantile(blocks, (0.1, 0.5, 0.9), axis=1)
     typical_s = float(np.median(median_s))
@@ -160,7 +161,7 @@ def _changed_rate(table: Table, profile: Profile) -> list[Ambiguity]:
     for start, stop in runs_of(has_other_step & is_even):
         first, last = start * _BLOCK_ROWS, stop * _BLOCK_ROWS
         if t_s[last] - t_s[first] < _CHANGED_S:
-            continue
+            continue  # not for good
         step_s = float(np.median(median_s[start:stop]))
         return [
             Ambiguity(
@@ -232,7 +233,7 @@ def _changed_signs(fitted: Sequence[_FittedPart], rig: Rig) -> list[Ambiguity]:
         confirmed = confirmed_by_simulation(suspects, part, rig)
         opposite = [(part, confirmed)] if confirmed else []
     if not opposite or len(opposite) == len(fitted):
-        return []
+        return []  # the parts agree; signs of the whole file are checked elsewhere
     part, (suspect, *_) = opposite[0]
     return [
         Ambiguity(
@@ -295,7 +296,7 @@ def _jumps(flight: Flight) -> list[Ambiguity]:
             after = angle_deg[row + 1 : row + 1 + _JUMP_ROWS]
             jump_deg = float(angle_deg[row + 1] - angle_deg[row])
             if abs(float(np.median(after) - np.median(before))) < _STAYING_SHARE * abs(jump_deg):
-                continue
+                continue  # the angle returns: a wrong value, not lost counts
             result.append(
                 Ambiguity(
                     f"{axis}'s zero in parts of the file",
@@ -305,7 +306,7 @@ def _jumps(flight: Flight) -> list[Ambiguity]:
                     "after the jump out with leave_out_s",
                 )
             )
-            break
+            break  # the first jump of an axis is reported
     return result
 
 
@@ -325,6 +326,7 @@ def _flat_tops(flight: Flight) -> list[Ambiguity]:
             spans = [
                 (start, stop)
                 for start, stop in runs_of(np.abs(angle_deg - end_deg) < 1e-9)
+                # The motion before and after is unknown at the ends of the log.
                 if (stop - 1 - start) * flight.step_s >= _FLAT_S and start and stop < angle_deg.size
             ]
             abrupt = [span for span in spans if _is_abrupt(angle_deg, span, flight.step_s, step_deg)]
@@ -368,24 +370,26 @@ def _held_voltages(flight: Flight, reference: Reference) -> list[Ambiguity]:
     for motor, other in (PAIR, PAIR[::-1]):
         intervals = np.diff(np.flatnonzero(changes[motor]))
         if intervals.size < _MIN_INTERVALS or pitch_fit is None:
-            continue
+            continue  # too few changes for a typical interval, or pitch is unknown
         typical_rows = float(np.quantile(intervals, 0.95))
         if typical_rows * flight.step_s > _MAX_INTERVAL_S:
-            continue
+            continue  # a voltage in slow steps stands still anyway
         held_rows = max(_HELD_S / flight.step_s, _HELD_INTERVALS * typical_rows)
         for start, last in runs_of(changes[motor] == 0.0):
             span = start, last + 1
             is_aloft = float(np.median(elevation_deg[slice(*span)])) > aloft_deg
             if last - start < held_rows or not is_aloft:
-                continue
+                continue  # a short time, or an arm on the table, where controllers hold voltages
             if not _changes_around(changes, motor, other, span, flight):
-                continue
-            if _is_limit(volts[motor], span, _LIMIT_SHARE * held_rows) and not (
-                _jumps_to_limit(volts[motor], span, flight.step_s)
+                continue  # the controller itself holds them, as before a start
+            is_at_limit = _is_limit(volts[motor], span, _LIMIT_SHARE * held_rows)
+            is_failure_at_limit = (
+                is_at_limit
+                and _jumps_to_limit(volts[motor], span, flight.step_s)
                 and _is_ignored(flight, motor, span, pitch_fit.lag_s)
-            ):
-                # The amplifier holds the voltage at its limit, not a failed link.
-                continue
+            )
+            if is_at_limit and not is_failure_at_limit:
+                continue  # the amplifier holds the voltage at its limit, not a failed link
             return [
                 Ambiguity(
                     f"the {motor} voltage in parts of the file",

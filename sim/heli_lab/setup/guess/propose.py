@@ -258,7 +258,7 @@ def _unknown_rig(profile: Profile, rig_name: str, known: KnownEntries) -> list[A
 def propose(
     tables: Sequence[Table], rig: Rig, rate_Hz: float | None = None, known: KnownEntries = NOTHING_KNOWN
 ) -> ProposedGuess:
-    """Propose one profile for the files of one rig, without simulating it."""
+    """Propose one profile for the files of one rig, without simulating it; `rate_Hz` replaces their times."""
     reference = reference_of(rig)
     signed = [with_directions(known.with_units(table.aligned(_named_angles(table)))) for table in tables]
     files = [prepare_file(table, reference, rate_Hz, known) for table, _ in signed]
@@ -279,10 +279,7 @@ def propose(
     flights = _FlightsInUnits(files, assignment, scale, reference, supply_limits(scale, motion, reference))
     regressions = flights.regressions()
     ambiguities += doubtful_columns + unit_ambiguities + unknown_unit_ambiguities(assignment, scale)
-    # Times of a structure count as seconds, which a file of a second contradicts.
-    is_short = clock.column == SHARED_TIME and float(np.ptp(files[0].signals.t_s)) < MIN_FLIGHT_S
-    states_unit = _states_unit(first_table, clock) and not is_short
-    if clock.sure and not states_unit and _fits_nothing(regressions):
+    if clock.sure and not _states_time_unit(first_table, clock, files[0]) and _fits_nothing(regressions):
         clock = replace(clock, sure=False, alternative="another unit, which the file does not state")
         ambiguities.append(
             Ambiguity("the time", f"{clock.column} in {clock.unit}", clock.alternative, NO_RATE)
@@ -365,10 +362,13 @@ def _chosen_units(
     return _ChosenUnits(logged_supply, *choose_scale(motion, logged_supply, rig))
 
 
-def _states_unit(table: Table, clock: Clock) -> bool:
+def _states_time_unit(table: Table, clock: Clock, file: PreparedFile) -> bool:
     """Whether the file states the unit of its times, or has none."""
     if not clock.column:
         return True
+    # Times of a structure count as seconds, which a flight that would be too short contradicts.
+    if clock.column == SHARED_TIME and float(np.ptp(file.signals.t_s)) < MIN_FLIGHT_S:
+        return False
     return (table.columns[clock.column].unit or split_unit(clock.column)[1]) in TIME_UNITS
 
 

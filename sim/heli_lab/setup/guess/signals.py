@@ -107,14 +107,15 @@ def clock_of(table: Table) -> Clock:
     for name, column in table.columns.items():
         values = column.values[np.isfinite(column.values)]
         if values.size < _MIN_TIMES:
-            continue
+            continue  # nearly empty
         steps = np.diff(values)
         # A unit of times names the time, too, in a language whose word is not known.
         has_time_unit = (column.unit or split_unit(name)[1]) in TIME_UNITS
         is_named = names.is_time(name) or (has_time_unit and not states_time)
         step = _mean_step(values)
         is_coarse = not is_named and _is_coarse_clock(values)
-        if not ((is_coarse or _is_clock(values, is_named)) and step > 0.0):
+        rises = (is_coarse or _is_clock(values, is_named)) and step > 0.0
+        if not rises:
             if is_named:
                 reasons.append(_why_no_clock(name, values))
             continue
@@ -321,7 +322,7 @@ def _jump_rows(values: Floats, t_s: Floats) -> set[int]:
     if len(jumps) > _MAX_JUMPS:
         return set()
     for row in jumps:
-        # The angle moves smoothly before and after its jump.
+        # The angle moves smoothly before and after its jump: in five rows to either side.
         neighbours = np.delete(changes[max(row - 5, 0) : row + 6], min(row, 5))
         if float(neighbours.max(initial=0.0)) > 3.0 * typical_maximum:
             return set()

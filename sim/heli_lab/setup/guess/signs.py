@@ -191,7 +191,7 @@ def try_sign_choices(flight: Flight, rig: Rig) -> tuple[SignChoice, ...]:
     try:
         record = _most_excited_part(prepare(flight, rig))
     except IdentifyError:
-        return ()
+        return ()  # no part of the flight is long enough to simulate
     errors_deg = {}
     for signs in itertools.product((1.0, -1.0), repeat=3):
         angles = record.angles_rad * np.array(signs)
@@ -264,15 +264,15 @@ def wrong_signs(flight: Flight, rig: Rig) -> tuple[WrongSign, ...]:
     clearly better with the opposite sign. An unusual rig fulfils neither condition.
     """
     if flight.duration_s < _MIN_DURATION_S:
-        return ()
+        return ()  # too little motion for evidence
     try:
         reference = reference_of(rig)
     except IdentifyError:
-        return ()
+        return ()  # the rig cannot hover, so nothing can be compared with it
     table = Table("flight", {name: Column(getattr(flight, name)) for name in _COLUMNS})
     signals = column_signals(table, flight.t_s, list(_COLUMNS))
     if any(np.ptp(signals.raw[name]) == 0.0 for name in _COLUMNS):
-        return ()
+        return ()  # a constant column has no sign
     assignment = Assignment(dict(zip((*AXES, "front", "back"), _COLUMNS, strict=True)))
     # The sine of an angle in degrees would be meaningless, so the unit is checked first.
     degrees = _angles_in_degrees(axis_regressions(signals, assignment, reference), reference)

@@ -258,7 +258,7 @@ def scales(motion: MeasuredMotion, reference: Reference) -> list[Scale]:
         volts = choice.volts(reference)
         mean_V = abs(motion.mean_sum) * volts
         if choice.bias_removed and mean_V > 0.5 * reference.hover_V:
-            continue
+            continue  # this sum still has its bias
         hover_std = 0.0 if choice.bias_removed else _deviation_std(mean_V, reference.hover_V, _HOVER_STD)
         # Deviations are normally distributed: each costs half of its square.
         voltage_nats = _voltage_unit_nats(choice, motion, reference) - 0.5 * hover_std**2
@@ -714,6 +714,7 @@ def elevation_zero(rest: RestElevation, reference: Reference) -> tuple[float, li
             return 0.0, []
         return unchanged(
             f"0 as it is, with {rest.median_deg:.0f} deg in flight",
+            # A median of about the table's depth is that of a log whose zero is at rest.
             f"0 at rest, so {table_deg:g} deg to add"
             if 0.5 * abs(table_deg) < abs(rest.median_deg) < 2.0 * abs(table_deg)
             else f"{-rest.median_deg:.0f} deg to add, so that it flies at 0 deg",
