@@ -53,6 +53,7 @@ class ThrustCurve:
         design = np.column_stack((volts_V, np.ones_like(volts_V)))
         (slope_N_per_V, intercept_N), *_ = np.linalg.lstsq(design, thrust_N, rcond=None)
         scatter_N = np.std(thrust_N - design @ (slope_N_per_V, intercept_N), ddof=2)
+        # The error of rounding to the step of the scale has a standard deviation of step / sqrt(12).
         noise_N = max(float(scatter_N), SCALE_N / np.sqrt(12.0))
         covariance = noise_N**2 * np.linalg.inv(design.T @ design)
         dead_zone_V = -intercept_N / slope_N_per_V
@@ -150,7 +151,7 @@ class Weighed:
 def weigh(
     rig: Rig, thrust: Thrust | None = None, balance: Balance | None = None, swings: Sequence[Swing] = ()
 ) -> Weighed:
-    """Estimate rig parameters from bench tests."""
+    """Estimate rig parameters from those bench tests that were made."""
     if thrust is None and balance is None and not swings:
         raise RigError("no bench test is given", "give at least one of [thrust], [balance] and [[swing]]")
     weighed = Weighed(rig, (), ())
@@ -178,8 +179,10 @@ def _with_thrust(rig: Rig, thrust: Thrust) -> Weighed:
         ),
     }
     after = replace(rig, numbers={**rig.numbers, **numbers})
+    # Two standard deviations of the scale's rounding, or 2 % of the largest thrust.
     tolerance_N = max(2.0 * thrust.scale_N / np.sqrt(12.0), 0.02 * float(thrust.curve.thrust_N.max()))
-    sides = ("front", "back") if volts.shape[1] == 2 else ("a rotor's",)
+    _, rotors = volts.shape
+    sides = ("front", "back") if rotors == 2 else ("a rotor's",)
     tested = tuple(
         Tested(
             f"{side} thrust at {volt:g} V",
@@ -311,6 +314,7 @@ def _with_masses(rig: Rig, balance: Balance | None, swings: Sequence[Swing]) -> 
     from scipy.optimize import least_squares
 
     problem = _MassProblem(rig, balance, swings)
+    # Masses and lengths stay above 0. The unknowns are changes in units of the tolerances.
     low = [-np.inf if rig.may_be_negative(name) else 1e-6 * rig[name].value for name in problem.names]
     bounds = ((np.array(low) - problem.mean) / problem.tolerance, np.full(len(low), np.inf))
     fit = least_squares(problem.residuals, np.zeros(len(low)), bounds=bounds)
@@ -323,6 +327,7 @@ def _with_masses(rig: Rig, balance: Balance | None, swings: Sequence[Swing]) -> 
             *dict.fromkeys(f"swings of {swing.axis}" for swing in swings),
         ]
     )
+    # The tests determine a parameter if they reduce its tolerance, or move it beyond that.
     determined = tuple(
         name
         for name, share, change in zip(problem.names, posterior_share, fit.x, strict=True)

@@ -78,12 +78,16 @@ class GdbServer:
                 self._talk(connection)
 
     def _talk(self, connection: socket.socket) -> None:
+        """Answer the packets of a debugger, each `$text#` and two digits of a checksum, until it leaves."""
         buffer = b""
+        # While the program runs, any byte of the debugger interrupts it.
         self._interrupted = lambda: bool(select.select([connection], [], [], 0)[0])
         while True:
             start = buffer.find(b"$")
             end = buffer.find(b"#", start)
-            if start < 0 or end < 0 or len(buffer) < end + 3:
+            is_complete = start >= 0 and end >= 0 and len(buffer) >= end + 3
+            if not is_complete:
+                # Ctrl-C comes as a single byte between packets.
                 if b"\x03" in buffer[: start if start >= 0 else None]:
                     buffer = buffer.replace(b"\x03", b"", 1)
                     connection.sendall(packet(_SIGINT))
@@ -96,7 +100,7 @@ class GdbServer:
             text = buffer[start + 1 : end].decode("latin-1")
             buffer = buffer[end + 3 :]
             connection.sendall(b"+")
-            if text.startswith(("k", "D")):
+            if text.startswith(("k", "D")):  # kill, which has no reply, or detach
                 if text.startswith("D"):
                     connection.sendall(packet("OK"))
                 return

@@ -92,6 +92,7 @@ def c_function(function: ca.Function) -> str:
         code = function.instruction_id(k)
         target, operands = function.instruction_output(k), function.instruction_input(k)
         if code == ca.OP_OUTPUT:
+            # Results are vectors, so a number is copied to all lanes.
             value = in_register[operands[0]]
             lines.append(f"r{target[0]}[{target[1]}] = {value if value in vectors else f'all({value})'};")
             continue
@@ -104,6 +105,7 @@ def c_function(function: ca.Function) -> str:
             value = f"({_c_literal(function.instruction_constant(k))})"
         else:
             value = f"v{k}"
+            # The second operand of a unary operation is ignored.
             x, y = in_register[operands[0]], in_register[operands[-1]]
             lines.append(_c_operation(value, code, x, y, vectors))
         in_register[target[0]] = value

@@ -44,7 +44,8 @@ def generate(plant: Plant, token: str) -> Generated:
         ca.SX.sym("chance"),
     )
     p_model = p[: len(model.parameters)]
-    after, _, next_generator_state = end_of_step(model, x, u, p, t, generator_state, ca.SX.zeros(3))
+    no_locks = ca.SX.zeros(3)
+    after, _, next_generator_state = end_of_step(model, x, u, p, t, generator_state, no_locks)
     functions = [
         plant.function,
         _dense_function("model_rates", [x, u, p, t], [model.dynamics(x, u, p_model, t)]),
@@ -74,6 +75,7 @@ def generate(plant: Plant, token: str) -> Generated:
         "SAMPLED": int(has_millisecond_events),
         "INPUTS": max(function.n_in() for function in functions),
         "OUTPUTS": max(function.n_out() for function in functions),
+        # One more than needed, because C has no arrays of length 0.
         "WORK_ARGUMENTS": max(function.sz_arg() for function in functions) + 1,
         "WORK_RESULTS": max(function.sz_res() for function in functions) + 1,
         "WORK_INTEGERS": max(function.sz_iw() for function in functions) + 1,

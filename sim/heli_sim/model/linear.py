@@ -97,8 +97,9 @@ def trim(model: Model, rig: Rig, elevation_rad: float = 0.0) -> Trim:
         # Least squares leaves a state that has no influence, such as an encoder's play, unchanged.
         jacobian = np.hstack((linear.A[first_rate:, unknown_states], linear.B[first_rate:]))
         step, *_ = np.linalg.lstsq(jacobian, -residual, rcond=None)
-        state[unknown_states] += step[:-2]
-        volts_V = volts_V + step[-2:]
+        state_step, volts_step_V = np.split(step, [-2])
+        state[unknown_states] += state_step
+        volts_V = volts_V + volts_step_V
     raise PlantError(
         f"rig '{rig.name}' cannot hover at {np.degrees(elevation_rad):g} degrees with model '{model.name}'",
         "check its masses and lengths",

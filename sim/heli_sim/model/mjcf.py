@@ -33,7 +33,7 @@ def left_out(rig: Rig) -> list[str]:
 
 
 def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
-    """Write a rig as MJCF."""
+    """Write a rig as MJCF; without `stops`, the joints have no limits."""
     # Controls are the front and the back voltage [V]; sensors and joints are elevation, pitch and travel
     # [rad].
     v = {name: rig[name].value for name in rig}
@@ -56,6 +56,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
     def rotor(side: str) -> str:
         """Return the actuator of a rotor: above the dead zone, thrust increases linearly with the voltage."""
         zero_N = -v["thrust_gain"] * v["dead_zone"]
+        # MuJoCo rejects an empty range of forces.
         max_N = v["thrust_gain"] * max(v["supply"] - v["dead_zone"], 1e-6)
         return (
             f'<general name="{side}" site="{side}" gear="0 0 1 0 0 0" gainprm="{v["thrust_gain"]:.9g}" '
@@ -75,6 +76,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
         )
 
     massless_inertia = '<inertial pos="0 0 0" mass="1e-9" ' + _POINT + "/>"
+    # XML does not permit two hyphens within a comment.
     missing_lines = "".join(f"\n  - {line}" for line in left_out(rig)).replace("--", "- -")
     return f"""<?xml version="1.0" encoding="utf-8"?>
 <!-- {_comment_lines(rig.description)}

@@ -98,6 +98,7 @@ def step_function(model: Model, delay_s: float = 0.0) -> ca.Function:
         return free * model.dynamics(state, u, p_model, t + later_s, locked=locked)
 
     next_model_state = runge_kutta_step(rates, x, STEP_s)
+    # The time of a flight begins when a motor first gets a voltage.
     motors_turned = ca.fmax(t > 0, ca.fmax(ca.fabs(commanded_V[0]), ca.fabs(commanded_V[1])) > 0)
     t_end = t + STEP_s * motors_turned
     next_model_state, measured, generator_state = end_of_step(

@@ -112,7 +112,7 @@ def numbers_from_table(text: str, where: str) -> dict[str, Number]:
     for row in rows:
         cells = {head: (row.get(head) or "").strip() for head in COLUMNS}
         if not any(cells.values()):
-            continue
+            continue  # an empty row of a spreadsheet
         quantity = _quantity_named(cells["name"])
         if quantity.name in numbers:
             raise RigError(f"{where} has {quantity.name} twice", "leave one out")

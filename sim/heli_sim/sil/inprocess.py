@@ -44,6 +44,7 @@ class InProcessTransport:
         self._closed = False
         self._speed = world.options.speed
         if world.unplugged:
+            # Time must pass, or the cable would never be plugged in again.
             world.advance(_RETRY_TICKS)
             raise PortError("the simulated cable is unplugged", "wait until it is plugged in again")
         if world.options.reset_on_open:

@@ -134,7 +134,7 @@ class PtyEndpoint(Endpoint):
     # A host opens the link like a device file. When the host closes the port, its unread bytes are discarded,
     # and the terminal remains for the next host. A pseudo-terminal has no line DTR, so opening counts as its
     # rise and closing as its fall. If the host has cleared the hang-up flag (``stty -hupcl``), DTR stays
-    # high, as with a serial port of Linux.
+    # high, as with a serial port of Linux. Without a link, the host opens the terminal itself.
 
     def __init__(self, link: str | Path | None = None) -> None:
         self._link = PortLink(Path(link)) if link is not None else None

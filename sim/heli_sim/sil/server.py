@@ -201,7 +201,7 @@ def serve(
     stop_fd: int | None = None,
     console: FaultConsole | None = None,
 ) -> None:
-    """Serve a world until `stop_fd` is ready to read."""
+    """Serve a world, with a `console` for faults if given, until `stop_fd` is ready to read."""
     server = SilServer(endpoint, world, clock)
     stops = [] if stop_fd is None else [stop_fd]
     while True:
@@ -229,6 +229,8 @@ def run_server(
     """Build a world and serve it until `stop_fd`, SIGINT, SIGTERM, SIGHUP or an error ends it. Return the
     counters of the link (see `SilWorld.counters`) and the simulated ticks.
     """
+    # The port is the first given of `rfc2217`, `tcp` and `pty`, otherwise a pseudo-terminal without a link.
+    # Faults are typed into `words_fd`, and `answer` takes the replies.
     # The default of these two would leave the link to the terminal behind.
     if threading.current_thread() is threading.main_thread():
         for name in ("SIGTERM", "SIGHUP"):

@@ -37,7 +37,8 @@ class SilProcess:
 
     # The port is a pseudo-terminal, or where the system has none, TCP on this machine alone.
     # The child ends when this process does, however that ends: it watches its standard input. It is in a
-    # session of its own, so that Ctrl-C reaches the host alone, which can then still land the rig.
+    # session of its own, so that Ctrl-C reaches the host alone, which can then still land the rig. Without a
+    # `speed`, it simulates as fast as possible; without a path `pty`, the port is in a temporary folder.
 
     def __init__(
         self,

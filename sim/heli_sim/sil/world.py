@@ -178,33 +178,44 @@ class SilWorld:
         BoardStopped
             If the firmware uses the emulated Due in a way that the data sheet of the chip does not permit.
         """
-        faults = self.options.faults
         self._undelivered += self.to_board.pass_through(rx)
-        received = b""
-        while ticks > 0 and not (until_output and received and min_ticks <= 0):
+        received, elapsed_ticks = b"", 0
+        while elapsed_ticks < ticks:
+            remaining_ticks, remaining_min_ticks = ticks - elapsed_ticks, min_ticks - elapsed_ticks
+            if until_output and received:
+                if remaining_min_ticks <= 0:
+                    break
+                remaining_ticks = min(remaining_ticks, remaining_min_ticks)
             tick = self.native.tick
-            unplugged, stalled = faults.unplugged(tick), faults.stalled(tick)
-            # Also when the cable is plugged in again: what the board sent without it is lost.
-            if unplugged or self._was_unplugged:
-                self.native.unplug()
-            if unplugged:
-                self._undelivered = b""
-            self._was_unplugged = unplugged
-            self.native.host_reading = self.host_reading and not (stalled or unplugged)
-            to_deliver = b"" if stalled else self._undelivered
-            if to_deliver:
-                self._undelivered = b""
-            max_ticks = min(ticks, min_ticks) if until_output and received else ticks
+            to_deliver = self._apply_cable_faults(tick)
             self.rig_faults.apply(tick, self.native, self.board.sim)
             # Faults begin and end at edges, and are constant between them.
-            edge = min(faults.next_edge(tick), self.rig_faults.next_edge(tick))
-            elapsed_ticks, sent = self._advance_native(
-                min(max_ticks, edge - tick), to_deliver, until_output, max(1, min_ticks)
+            edge = min(self.options.faults.next_edge(tick), self.rig_faults.next_edge(tick))
+            step_ticks, sent = self._advance_native(
+                min(remaining_ticks, edge - tick),
+                to_deliver,
+                until_output,
+                max(1, remaining_min_ticks),  # the native world refuses a minimum that is over
             )
             received += sent
-            ticks -= elapsed_ticks
-            min_ticks -= elapsed_ticks
+            elapsed_ticks += step_ticks
         return self.to_host.pass_through(received)
+
+    def _apply_cable_faults(self, tick: int) -> bytes:
+        """Unplug or stall the line as planned for a tick; return the host's bytes that reach the board."""
+        faults = self.options.faults
+        is_unplugged, is_stalled = faults.unplugged(tick), faults.stalled(tick)
+        # Also when the cable is plugged in again: what the board sent without it is lost.
+        if is_unplugged or self._was_unplugged:
+            self.native.unplug()
+        if is_unplugged:
+            self._undelivered = b""
+        self._was_unplugged = is_unplugged
+        self.native.host_reading = self.host_reading and not (is_stalled or is_unplugged)
+        if is_stalled:
+            return b""  # the bytes wait, and are not lost
+        to_deliver, self._undelivered = self._undelivered, b""
+        return to_deliver
 
     def reset_board(self) -> None:
         """Pulse the board's reset line: the motors stop immediately; 205 ms later the flight code starts."""

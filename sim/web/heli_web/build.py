@@ -64,6 +64,7 @@ def page_text(board: bytes, facts: Mapping[str, Any], firmware: Sequence[tuple[i
         f'<link rel="icon" href="data:image/svg+xml;base64,{icon}">\n'
         f"<style>\n{''.join(styles)}\n</style>\n"
     )
+    # The page contains its styles and scripts, instead of links to the dashboard's.
     html = re.sub(r"<(?:link|script)\b[^>]*>(?:</script>)?\n", "", _static(static, "index.html"))
     panel, boot = _page_file("lab.html"), f"<script>\n{_page_file('boot.js')}</script>\n"
     for mark, added in (

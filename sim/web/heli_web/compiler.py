@@ -82,7 +82,8 @@ def _compile(output: Path, root: Path, library: Path) -> None:
     runtime = (*_TARGET, *_COMMON, "-w", *(f"-I{library / part}" for part in parts))
     runtime += tuple(f"-D{name}" for name in _RUNTIME)
     board = (*_FLAGS, *(f"-I{root / part}" for part in _INCLUDES))
-    jobs = [(tag, _TARGET[:3]), (library / "libunwind/src/Unwind-wasm.c", runtime)]
+    machine = _TARGET[:3]  # an assembler takes no further flags
+    jobs = [(tag, machine), (library / "libunwind/src/Unwind-wasm.c", runtime)]
     for folder, names in _LIBRARY.items():
         files = [library / folder / "src" / f"{name}.cpp" for name in names.split()]
         jobs.append((_together(output, folder, files), (*runtime, "-std=c++23")))

@@ -100,6 +100,7 @@ def _parameter_facts(kind: EffectSpec, parameter: Any) -> dict[str, Any]:
 
 def log_facts() -> dict[str, Any]:
     """Return the layout of a log: schemas, channels, and the fields of a tick."""
+    # Channel and axis of each column of a tick.
     columns: dict[str, tuple[int | None, int | None]] = {
         spec.field: (index, None) for index, spec in enumerate(CHANNELS)
     }

@@ -16,6 +16,8 @@ from heli_sim.errors import PlantError
 # Bytes of WebAssembly: types, sections and instructions. All arithmetic is on doubles, f64.
 _F64, _POINTER, _SIGNATURE = 0x7C, 0x7F, 0x60
 _TYPES, _IMPORTS, _FUNCTION_TYPES, _EXPORTS, _BODIES = 1, 2, 3, 7, 10
+_OF_FUNCTION, _OF_MEMORY = b"\x00", b"\x02"
+"""Kinds of an import or export."""
 _GET, _SET, _LOAD, _STORE, _CONST = 0x20, 0x21, 0x2B, 0x39, 0x44
 _ALIGNED_8: Final = 3
 """Alignment of a load or a store, as an exponent of 2."""
@@ -56,13 +58,14 @@ def plant_module(function: ca.Function) -> bytes:
         _signature([_F64, _F64], [_F64]),
         _signature([_POINTER] * (inputs + outputs), []),
     ]
-    # One page of memory at least, then the functions of mathematics, each with the index of its type.
-    imports = [_name("env") + _name("memory") + b"\x02\x00\x01"]
+    # Memory of one page at least, without a limit, then the functions of mathematics, each with the index of
+    # its type.
+    imports = [_name("env") + _name("memory") + _OF_MEMORY + b"\x00\x01"]
     for name in _FUNCTIONS:
         kind = unary if name in _CALL_1.values() else binary
-        imports.append(_name("env") + _name(f"math_{name}") + b"\x00" + _number(kind))
+        imports.append(_name("env") + _name(f"math_{name}") + _OF_FUNCTION + _number(kind))
     body = _vector([_number(function.sz_w()) + bytes([_F64])]) + _code(function, inputs, outputs) + _END
-    exported = _name("step") + b"\x00" + _number(len(_FUNCTIONS))
+    exported = _name("step") + _OF_FUNCTION + _number(len(_FUNCTIONS))
     return b"\0asm\x01\0\0\0" + b"".join(
         bytes([section]) + _number(len(content)) + content
         for section, content in (
@@ -92,7 +95,7 @@ def _code(function: ca.Function, inputs: int, outputs: int) -> bytes:
         if operation == ca.OP_OUTPUT:
             output, element = target
             code += bytes([_GET]) + _number(inputs + output) + get(source[0])
-            code += bytes([_STORE, _ALIGNED_8]) + _number(8 * element)
+            code += bytes([_STORE, _ALIGNED_8]) + _number(8 * element)  # a double has 8 bytes
             continue
         if operation == ca.OP_INPUT:
             pointer, element = source
@@ -106,7 +109,7 @@ def _code(function: ca.Function, inputs: int, outputs: int) -> bytes:
 
 
 def _operation(operation: int, get: list[bytes]) -> bytes:
-    """Return the code that leaves the result of an operation on the stack."""
+    """Return the code that leaves the result of an operation on the stack; `get` gets each operand there."""
     operands = b"".join(get)
     if operation == ca.OP_ASSIGN:
         return operands

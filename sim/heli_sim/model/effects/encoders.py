@@ -74,7 +74,6 @@ def _backlash(axis: str) -> EffectSpec:
         equation=r"y \to \min(\max(y, q - b/2), q + b/2)",
         acts_on=f"measurement.{axis}",
         stage=Stage.PLAY,
-        # Without any play the shaft has no memory of which side it lies on, and the size no derivative.
         numbers=(
             Parameter(
                 "rad",
@@ -83,12 +82,13 @@ def _backlash(axis: str) -> EffectSpec:
                 typical=0.01,
                 prior=Prior(mean=0.0, std=0.03, low=0.0, high=0.3),
                 size=True,
+                # Not 0: there the shaft has no memory of its side, and the angle no derivative by b.
                 neutral=1e-6,
             ),
         ),
         states=(Quantity("shaft_rad", "rad", f"angle y of the {axis} encoder's shaft"),),
         measured_as={"shaft_rad": axis},
-        rank=160,
+        rank=160,  # place in the catalogue
         source="play operator; the play lies between axis and encoder, since no gear drives the arm",
     )
 
@@ -139,7 +139,7 @@ def _encoder_eccentricity(axis: str) -> EffectSpec:
             ),
             Parameter("order", "count", "periods n per revolution", typical=1.0, grid=(1.0, 2.0)),
         ),
-        rank=170,
+        rank=170,  # place in the catalogue
         source="geometry: a disc whose centre is off runs out once a revolution, an oval one twice",
     )
 
@@ -181,7 +181,7 @@ def _zero_offset(axis: str) -> EffectSpec:
         ),
         family=TILTS if axis == "pitch" else None,
         family_numbers={"rad": 1.0} if axis == "pitch" else {},
-        rank=180,
+        rank=180,  # place in the catalogue
         source="definition; on travel it shows only beside a spring, a tilt or an eccentricity",
     )
 

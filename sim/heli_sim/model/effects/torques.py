@@ -83,7 +83,6 @@ def _coulomb_friction(axis: str, typical_Nm: float) -> EffectSpec:
         equation=r"\tau = -\min(\max(J (\dot\omega_0 + \omega / T), -c), c)",
         acts_on=f"torque.{axis}",
         stage=Stage.TORQUE,
-        # Without any friction it has no side, and the size no derivative.
         numbers=(
             Parameter(
                 "Nm",
@@ -92,6 +91,7 @@ def _coulomb_friction(axis: str, typical_Nm: float) -> EffectSpec:
                 typical=typical_Nm,
                 prior=Prior(mean=0.0, std=3 * typical_Nm, low=0.0, high=0.5),
                 size=True,
+                # Not 0: there both bounds of the torque are the same, and it has no derivative by c.
                 neutral=1e-14,
             ),
             Parameter(
@@ -107,7 +107,7 @@ def _coulomb_friction(axis: str, typical_Nm: float) -> EffectSpec:
             positive=f"the {axis} axis has {{}} more dry friction",
             negative=f"the {axis} axis has {{}} less dry friction",
         ),
-        rank=110,
+        rank=110,  # place in the catalogue
         source=(
             "Coulomb, with standstill as a damped constraint as solvers of rigid bodies pose it; Runge-Kutta "
             "steps of 10 ms, as identification takes them, are stable down to T = 3.6 ms"
@@ -169,7 +169,7 @@ def _cable_spring(axis: str) -> EffectSpec:
             # About an angle at rest a cable is a stiffness and a constant torque.
             numbers=(f"cable_spring_{axis}_Nm_per_rad", f"torque_{axis}"),
         ),
-        rank=130,
+        rank=130,  # place in the catalogue
         source="Hooke; a constant pull beside it is the rig's torque_" + axis,
     )
 
@@ -334,7 +334,7 @@ def _periodic_torque(axis: str, typical_Nm: float) -> EffectSpec:
                 grid=_frequencies_Hz,
             ),
         ),
-        rank=190,
+        rank=190,  # place in the catalogue
         source="definition",
     )
 
@@ -392,7 +392,7 @@ def _random_torque(axis: str, typical_Nm: float) -> EffectSpec:
         ),
         states=(Quantity("now_Nm", "N m", f"random torque d on the {axis} axis"),),
         noise_inputs=1,
-        rank=200,
+        rank=200,  # place in the catalogue
         source="the simplest coloured noise; Dryden's gusts are of this kind",
     )
 
