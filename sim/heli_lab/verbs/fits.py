@@ -80,10 +80,8 @@ def identify(
 
     Example: `heli-host identify a.mcap --validate b.mcap --save-rig mine.toml --report mine`
     """
-    from heli_host.errors import HeliError
     from heli_host.ui.cli.live import WorkBar
     from heli_host.ui.cli.options import check_result_places
-    from heli_sim.rig import write_rig
 
     from heli_lab.fit.identification import identify as run_identification
     from heli_lab.fit.records import prepare_all
@@ -93,7 +91,7 @@ def identify(
     from heli_lab.report.page.drawing import Drawing
     from heli_lab.threads import default_thread_count
     from heli_lab.watch.disturbances import with_likely_advance
-    from heli_lab.watch.saved_rig import RigModel, compare_rigs, comparison_json, unmeasured_sentence
+    from heli_lab.watch.saved_rig import RigModel, comparison_json
 
     validation_paths = validate or []
     data_on_stdout(json)
@@ -137,21 +135,14 @@ def identify(
         rig_lines: list[str] = []
         if save_rig is not None:
             bar.show("forecasts", 0.88)  # about this share of the work is done
-            identified_rig = identification.rig(save_rig.stem)
             files = _FlightFiles(paths, inputs.labels, spans, len(flights), allow_gaps)
-            judged = files.held_out(records) if validation_paths else files.fitted(records)
-            try:
-                comparison = compare_rigs(
-                    before=RigModel(model_of(inputs.rig, model, effect_file or ()), inputs.rig),
-                    after=with_equations(identified_rig),
-                    judged=judged,
-                    fitted=identification.fit.problem.records,
-                )
-                rig_lines = list(comparison.lines)
-            except HeliError as error:
-                rig_lines = [unmeasured_sentence(error)]
-            comment = f"Found by heli-host identify. {verdict(identification)}"
-            write_rig(identified_rig, save_rig, "\n".join([comment, *rig_lines]))
+            comparison, rig_lines = _write_identified_rig(
+                identification,
+                save_rig,
+                before=RigModel(model_of(inputs.rig, model, effect_file or ()), inputs.rig),
+                after=with_equations(identification.rig(save_rig.stem)),
+                judged=files.held_out(records) if validation_paths else files.fitted(records),
+            )
         if report is not None:
             bar.show("drawing", 0.9)
             page = write_identification_report(identification, report, drawing)
@@ -166,6 +157,35 @@ def identify(
     say_files((save_rig, page, json))
     if not identification.converged:
         raise typer.Exit(1)
+
+
+def _write_identified_rig(
+    identification: Identification,
+    path: Path,
+    *,
+    before: RigModel,
+    after: RigModel,
+    judged: Sequence[JudgedFlight],
+) -> tuple[RigComparison | None, list[str]]:
+    """Write the identified rig with a comment on its forecasts of some flights, compared with those `before`.
+
+    Returns the comparison, None if there is none, and the lines of the comment about it.
+    """
+    from heli_host.errors import HeliError
+    from heli_sim.rig import write_rig
+
+    from heli_lab.report.identification_page import verdict
+    from heli_lab.watch.saved_rig import compare_rigs, unmeasured_sentence
+
+    comparison: RigComparison | None = None
+    try:
+        comparison = compare_rigs(before, after, judged, fitted=identification.fit.problem.records)
+        lines = list(comparison.lines)
+    except HeliError as error:
+        lines = [unmeasured_sentence(error)]
+    comment = f"Found by heli-host identify. {verdict(identification)}"
+    write_rig(after.rig, path, "\n".join([comment, *lines]))
+    return comparison, lines
 
 
 def _print_estimates(identification: Identification) -> None:

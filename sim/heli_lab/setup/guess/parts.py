@@ -107,6 +107,7 @@ def part_ambiguities(
     for flight in flights:
         ambiguities += _impossible_values(flight)
         ambiguities += _jumps(flight) + _flat_tops(flight) + _held_voltages(flight, reference)
+    # The first ambiguity of each subject.
     return list({ambiguity.subject: ambiguity for ambiguity in reversed(ambiguities)}.values())[::-1]
 
 
@@ -201,7 +202,7 @@ def _changed_motion(flights: Sequence[Flight], reference: Reference, rig: Rig) -
     """Report parts in which an axis moves against its cause, or many times as far as in the others."""
     parts = [part for flight in flights for part in _parts_of(flight) if part.duration_s > 0.5 * _PART_S]
     if len(parts) < 2:
-        return []
+        return []  # nothing to compare with
     fitted = [_FittedPart(part, _regressions(part, reference)) for part in parts]
     result = _changed_signs(fitted, rig)
     for axis in AXES:

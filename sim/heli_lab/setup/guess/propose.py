@@ -495,7 +495,7 @@ class _FlightsInUnits:
         then elevation rises against them.
         """
         if self.scale.voltage not in SHARES or signs.elevation > 0.0:
-            return []
+            return []  # volts are not inverted, or elevation rises with them
         for file in self.files:
             first, second = (file.table.columns[name].values for name in self.assignment.voltages)
             if file.begins and first[0] == 0.0 and second[0] == 0.0:

@@ -163,7 +163,7 @@ def _is_clock(values: Floats, is_named: bool) -> bool:
         # Rows may be in the file twice, also if the newest is the first.
         return falling_share < _MAX_FALLING_SHARE or _falls_steadily(steps)
     if min(falling_share, 1.0 - falling_share) > _MAX_UNNAMED_FALLING_SHARE or np.ptp(values) == 0.0:
-        return False
+        return False  # it rises and falls as a signal does, or is constant
     rows = longest_rise(values if falling_share < 0.5 else -values)
     # The times of a few rows may be damaged.
     if rows.size < (1.0 - 2.0 * _MAX_UNNAMED_FALLING_SHARE) * values.size:
@@ -180,7 +180,7 @@ def _is_coarse_clock(values: Floats) -> bool:
     steps = -steps if values[-1] < values[0] else steps
     starts = np.flatnonzero(steps) + 1
     if (steps < 0.0).any() or float(np.mean(steps == 0.0)) <= _COARSE_SHARE or starts.size <= _MIN_TIMES:
-        return False
+        return False  # it turns round, is not coarse, or has too few values
     # The file may cut off the runs at both ends.
     lengths = np.diff(starts)
     median_rows = float(np.median(lengths))
@@ -270,7 +270,7 @@ def without_spikes(table: Table, columns: Collection[str]) -> Table:
         values = table.columns[name].values
         known = np.flatnonzero(np.isfinite(values))
         if known.size < _MIN_ROWS:
-            continue
+            continue  # too few neighbours to compare a value with
         is_spike = spikes(values[known])
         if is_spike.any():
             blanked = values.copy()

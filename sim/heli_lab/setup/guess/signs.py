@@ -127,7 +127,7 @@ def travel_torque_nats(
     """
     expected_rad_s2, std_rad_s2 = reference.travel_rad_s2
     if not expected_rad_s2:
-        return 0.0
+        return 0.0  # the rig file states no torque whose direction could be compared
     measured_rad_s2 = sign * rad["travel"] * travel_equation(signals, assignment, rad).constant
     # Likelihood ratio of two normal distributions, about plus and minus the expected acceleration.
     ratio = math.exp(np.clip(2.0 * measured_rad_s2 * expected_rad_s2 / std_rad_s2**2, -50.0, 50.0))
@@ -306,7 +306,7 @@ def confirmed_by_simulation(suspects: list[WrongSign], flight: Flight, rig: Rig)
 def _zeroed_at_rest(rest: RestElevation, reference: Reference) -> WrongSign | None:
     """Report an elevation that was zeroed at rest on the table instead of at level."""
     if rest.deg is None or not rest.begins_lowest:
-        return None
+        return None  # the flight does not begin on the table
     tolerance_deg = REST_TOLERANCE_DEG + reference.rest_tolerance_deg
     is_zero = abs(rest.deg) < tolerance_deg
     # If the table is near level, a rest at 0 is right: the tolerances about both angles must not overlap.

@@ -551,8 +551,10 @@ def _implausible_rate(best: Scale) -> list[Ambiguity]:
     logs = [deviations.get(axis, 0.0) * _GAIN_STD[axis] for axis in AXES]
     is_common = min(logs) * max(logs) > 0.0 and max(logs) - min(logs) < _COMMON_GAIN_SPREAD
     mean = sum(logs) / len(logs)
-    if not is_common or abs(mean) < _COMMON_GAIN or abs(deviations.get("hover", 0.0)) > 1.0:
-        return []
+    if not is_common or abs(mean) < _COMMON_GAIN:
+        return []  # the gains agree with the rig file's, or differ by more than a clock
+    if abs(deviations.get("hover", 0.0)) > 1.0:
+        return []  # the unit of the voltages would explain it, too
     return [
         Ambiguity(
             "the time",
@@ -594,7 +596,7 @@ def _unknown_supply(
     """Report that the supply is unknown if the voltages are shares of it; `possible` begins with the best."""
     best = possible[0]
     if best.voltage not in SHARES or reference.supply_column:
-        return []
+        return []  # the voltages are in V, or the file contains the supply
     if motion.stated_units["voltage"]:
         # The gains differ too much from rig to rig to show a supply of 11 instead of 12 V.
         chosen = f"{reference.supply_V:g} V, as in the rig file"
@@ -640,14 +642,14 @@ def with_logged_supply(reference: Reference, files: Sequence[PreparedFile], hove
     plausible_V: dict[str, float] = {}
     for name, meaning in meanings.items():
         if meaning.quantity != A_SUPPLY or any(name not in file.table.columns for file in files):
-            continue
+            continue  # a profile needs a column that all files have
         volts_per_unit = VOLTAGE_UNITS.get(columns[name].unit or split_unit(name)[1], 1.0)
         mean_V = volts_per_unit * float(np.nanmean(columns[name].values))
         share = mean_V / reference.supply_V
         if min_share < share < max_share or _explains_hover(share, hover_V, reference):
             plausible_V[name] = mean_V
     if len(plausible_V) != 1:
-        return reference
+        return reference  # none, or no reason to prefer one of several
     ((name, mean_V),) = plausible_V.items()
     return replace(reference, supply_V=round(mean_V, 3), supply_column=name)
 
