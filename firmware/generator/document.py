@@ -162,7 +162,7 @@ def _message_section(message: Table) -> list[str]:
 
 def generate_faults(declaration: Table) -> str:
     """Return the text of docs/reference/faults.md."""
-    kinds = {f["kind"] for f in declaration["fault"]}
+    kinds = {fault["kind"] for fault in declaration["fault"]}
     out = [
         FAULTS,
         *(f"- `{kind}`: {meaning}" for kind, meaning in FAULT_KINDS.items() if kind in kinds),
@@ -171,14 +171,14 @@ def generate_faults(declaration: Table) -> str:
             ["code", "name", "kind", "limit", "meaning", "fix"],
             [
                 [
-                    str(f["code"]),
-                    f"`{f['name']}`",
-                    f["kind"],
-                    f"`{f['parameter']}`" if "parameter" in f else "",
-                    f["meaning"],
-                    f["remedy"],
+                    str(fault["code"]),
+                    f"`{fault['name']}`",
+                    fault["kind"],
+                    f"`{fault['parameter']}`" if "parameter" in fault else "",
+                    fault["meaning"],
+                    fault["remedy"],
                 ]
-                for f in declaration["fault"]
+                for fault in declaration["fault"]
             ],
         ),
     ]
@@ -193,14 +193,14 @@ def generate_parameters(declaration: Table) -> str:
             ["#", "name", "default", "range", "set", "meaning"],
             [
                 [
-                    str(i),
-                    f"`{p['name']}`",
-                    f"{p['default']:g} {p['unit']}".rstrip(),
-                    f"{p['min']:g} to {p['max']:g}{kind_of(p)}",
-                    p["when"],
-                    p["meaning"],
+                    str(index),
+                    f"`{param['name']}`",
+                    f"{param['default']:g} {param['unit']}".rstrip(),
+                    f"{param['min']:g} to {param['max']:g}{kind_of(param)}",
+                    param["when"],
+                    param["meaning"],
                 ]
-                for i, p in enumerate(declaration["param"])
+                for index, param in enumerate(declaration["param"])
             ],
         ),
     ]

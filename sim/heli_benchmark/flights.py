@@ -187,6 +187,7 @@ class _Pilot:
     # difference of the voltages. Rates are filtered differences of angles.
 
     def __init__(self, rig: Rig, controller: str, step_s: float, rng: np.random.Generator) -> None:
+        # Values by the paper's names: masses M, lengths L, and g.
         v = {name: rig[name].value for name in rig}
         carried_kg = v["M_f"] + v["M_b"] + v["M_h"]
         inertia_e = carried_kg * v["L_a"] ** 2 + v["M_w"] * v["L_b"] ** 2 + v["M_l"] * v["L_x"] ** 2

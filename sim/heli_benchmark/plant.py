@@ -28,6 +28,7 @@ def mujoco_rig(rig: Rig, *, step_s: float = 0.001, hung: str = "") -> Any:
     """
     import mujoco
 
+    # Values by the paper's names: masses M, lengths L, and g.
     v = {name: rig[name].value for name in rig}
     arm_z, body_z = -v["L_theta"], -v["L_phi"]
 

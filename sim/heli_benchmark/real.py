@@ -150,7 +150,7 @@ def score(
     names = NAMES.get(effect.id, (effect.id,))
     reference_names = {name for cause in reference["causes"] for name in _indistinguishable_names(cause)}
     cause = next((cause for cause in result["causes"] if _stands_for(cause, names)), None)
-    # Causes that neither the hidden effect nor the undisturbed flight explains: they are false.
+    # Neither the hidden effect nor a cause in `reference`, the diagnosis of the unchanged flights.
     new_names = tuple(
         (other["effect"], other["confidence"])
         for other in result["causes"]
@@ -166,10 +166,16 @@ def score(
             truth = _true_size(effect, cause["effect"], result, volts_V, t_s, rig) + _reference_size(
                 reference, names, t_s
             )
-    undetectable = bool({*names} & {*result["undetectable"]})
-    supported_names = tuple(name for name, _ in new_names if _is_supported(name, reference))
     return HiddenResult(
-        effect, cause is not None, undetectable, size, std, truth, confidence, new_names, supported_names
+        effect,
+        named=cause is not None,
+        undetectable=bool({*names} & {*result["undetectable"]}),
+        size=size,
+        std=std,
+        truth=truth,
+        confidence=confidence,
+        new_names=new_names,
+        supported_names=tuple(name for name, _ in new_names if _is_supported(name, reference)),
     )
 
 

@@ -36,6 +36,7 @@ def mjcf(rig: Rig, step_s: float = 0.001, stops: bool = True) -> str:
     """Write a rig as MJCF; without `stops`, the joints have no limits."""
     # Controls are the front and the back voltage [V]; sensors and joints are elevation, pitch and travel
     # [rad].
+    # Values by the paper's names: masses M, lengths L, and g.
     v = {name: rig[name].value for name in rig}
     arm_z, body_z = -v["L_theta"], -v["L_phi"]
 

@@ -84,7 +84,8 @@ def _parameter_facts(kind: EffectSpec, parameter: Any) -> dict[str, Any]:
     """Return a parameter with the range of its slider: three typical sizes, within what the prior permits."""
     reach = 3.0 * abs(parameter.typical) or 1.0
     prior = parameter.prior
-    low, high = -reach if parameter.size else min(0.0, -reach if parameter.typical < 0 else 0.0), reach
+    is_signed = parameter.size or parameter.typical < 0
+    low, high = -reach if is_signed else 0.0, reach
     if prior is not None:
         low, high = max(low, prior.low), min(high, prior.high)
     return {

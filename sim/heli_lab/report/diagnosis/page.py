@@ -311,7 +311,7 @@ def calibration_tables(flights: Sequence[dict[str, Any]]) -> list[dict[str, Any]
     tables = []
     for flight in flights:
         if not flight["after"]:
-            continue
+            continue  # nothing was calibrated
         rows = []
         for name, after in flight["after"].items():
             unit = after["unit"]

@@ -383,7 +383,7 @@ def column_signals(
     for name in columns:
         values = table.columns[name].values
         known = has_time & np.isfinite(values)
-        if known.sum() > 10:
+        if known.sum() > 10:  # otherwise a column is too sparse, and has no signal
             raw[name] = np.interp(even_s, t_s[known], unwrapped(values[known], counts_per_turn))
     filtered = {name: filtered_signal(samples) for name, samples in raw.items()}
     inner = (even_s > even_s[0] + EDGE_S) & (even_s < even_s[-1] - EDGE_S)
