@@ -21,18 +21,19 @@ _SIGNIFICANCE: Final = 0.05
 def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     """Test whether the residuals of the nominal model depend on its inputs."""
     regression = residual_regression(case)
+    # Of the angles and rates, the first six features, squares are inputs, too.
     inputs = np.hstack([regression.features, regression.features[:, :6] ** 2])
+    level = _SIGNIFICANCE / regression.residuals.shape[1]
     detected = False
     for residual in regression.residuals.T:
         without_inputs = AutoReg(residual, _ORDER).fit()
         with_inputs = AutoReg(residual, _ORDER, exog=inputs).fit()
         ratio = 2.0 * (with_inputs.llf - without_inputs.llf)
-        is_dependent = chi2.sf(ratio, inputs.shape[1]) < _SIGNIFICANCE / 3.0
-        is_white = acorr_ljungbox(with_inputs.resid, [10])["lb_pvalue"].iloc[0] >= _SIGNIFICANCE / 3.0
+        is_dependent = chi2.sf(ratio, inputs.shape[1]) < level
+        is_white = acorr_ljungbox(with_inputs.resid, [10])["lb_pvalue"].iloc[0] >= level
         # Without whiteness the ratio has another distribution, so that it must be far beyond its limit.
-        detected |= bool(
-            is_dependent and (is_white or ratio > 3.0 * chi2.isf(_SIGNIFICANCE / 3.0, inputs.shape[1]))
-        )
+        is_far_beyond = ratio > 3.0 * chi2.isf(level, inputs.shape[1])
+        detected |= bool(is_dependent and (is_white or is_far_beyond))
     rig = regression.parameters([])
     if not detected:
         return answer_with(case.causes, {NOTHING: 0.8}, rig)

@@ -27,8 +27,10 @@ the excitation, which ends at 4 Hz. By judgement, not tuned."""
 
 
 class SmoothedFlight:
-    """Angles, rates and accelerations of a flight, smoothed by a Savitzky-Golay filter. `t_s, signals` has
-    shape (n,). `acceleration, features` has shape (k, 3).
+    """Angles, rates and accelerations of a flight, smoothed by a Savitzky-Golay filter.
+
+    Shapes: `t_s` (n,), `signals` (n, 8): angles, rates and voltages; at the k rows of the regression,
+    `acceleration` (k, 3) and `features` (k, 8), which are the signals there.
     """
 
     def __init__(self, flight: Flight, weak_form: bool = False) -> None:

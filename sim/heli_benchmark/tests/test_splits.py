@@ -111,6 +111,12 @@ def test_an_answer_of_few_probabilities_is_completed_and_valid() -> None:
         assert all(answer.probabilities[name] == value for name, value in named.items())
 
 
+def test_values_beyond_0_and_1_of_an_answer_are_clipped() -> None:
+    clipped = answer_with(CAUSES, {"rotor_lag": 1.0, UNLISTED: 0.0})
+    assert answer_with(CAUSES, {"rotor_lag": 3.0, UNLISTED: -1.0}) == clipped
+    check_answer(answer_with(CAUSES, {NOTHING: 1.5}), CAUSES, "it")
+
+
 def test_base_rates_agree_with_the_kinds_of_cases() -> None:
     rates = CAUSES.base_rates
     assert rates[NOTHING] == pytest.approx(1 / 3, abs=1e-5)

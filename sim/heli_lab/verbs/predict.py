@@ -107,8 +107,10 @@ def predict(
             bar.show(f"forecasts of the {name}", share + 0.1)
             return forecasts_of(equations, parameters, disturbances, flown, label, (start_s, stop_s))
 
-        forecasts = forecast(model, loaded_rig, "rig", 0.1)
-        baseline_forecasts = forecast(baseline_model, baseline_rig, "baseline", 0.5) if has_baseline else None
+        forecasts = forecast(model, loaded_rig, "rig", share=0.1)
+        baseline_forecasts: Forecasts | None = None
+        if has_baseline:
+            baseline_forecasts = forecast(baseline_model, baseline_rig, "baseline", share=0.5)
         rows = horizon_errors(forecasts, baseline_forecasts)
     baseline_name = baseline or (f"{rig} without its effects" if has_baseline else None)
     say(*slow_log_notes, *_table(forecasts, rows, rig, baseline_name))

@@ -179,7 +179,7 @@ def _driven_rows(table: Table, t_s: Floats) -> tuple[Integers, tuple[float, floa
             angles.append(column.values)
     rows = np.arange(t_s.size)
     if len(motors) < len(PAIR) or not angles:
-        return rows, None
+        return rows, None  # without names, nothing shows when the motors are off
     # Shape (n,): whether all motors still have their first value, which is off, or already have their last.
     is_off_at_start, is_off_at_end = (
         np.logical_and.reduce([_keeps_end(values, end) for values in motors]) for end in (0, -1)
@@ -197,7 +197,8 @@ def _driven_rows(table: Table, t_s: Floats) -> tuple[Integers, tuple[float, floa
     ]
     if not by_hand:
         return rows, None
-    return rows[~np.logical_or.reduce(by_hand)], (float(t_s[by_hand[0]][0]), float(t_s[by_hand[0]][-1]))
+    first_part_s = t_s[by_hand[0]]
+    return rows[~np.logical_or.reduce(by_hand)], (float(first_part_s[0]), float(first_part_s[-1]))
 
 
 def _keeps_end(values: Floats, end: int) -> Booleans:
