@@ -256,6 +256,7 @@ def _elevation_controller_gains(controller: str, bandwidth_rad_s: float) -> Floa
         state_matrix = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
         state_weights = np.diag([bandwidth_rad_s**4, 0.5 * bandwidth_rad_s**2, 0.1 * bandwidth_rad_s**6])
         return _lqr_gains(state_matrix, np.array([[0.0], [1.0], [0.0]]), state_weights)
+    # A damping ratio of 0.9, and a slow integral.
     return np.array([bandwidth_rad_s**2, 1.8 * bandwidth_rad_s, 0.3 * bandwidth_rad_s**3])
 
 
@@ -274,9 +275,11 @@ def _pitch_and_travel_controller_gains(
         state_matrix[travel_rate, pitch] = travel_rad_s2_per_rad
         state_matrix[travel_integral, travel] = 1.0
         state_weights = np.diag([pitch_rad_s**4, 0.3 * pitch_rad_s**2, 40.0 * travel_rad_s**4, 40.0, 0.5])
-        k = _lqr_gains(state_matrix, np.array([[0.0], [1.0], [0.0], [0.0], [0.0]]), state_weights)
+        gains = _lqr_gains(state_matrix, np.array([[0.0], [1.0], [0.0], [0.0], [0.0]]), state_weights)
+        pitch_gains, travel_gains = gains[:travel], gains[travel:]
         # Travel's errors make a reference of pitch, which the gain of pitch multiplies.
-        return k[:2], k[2:] / k[0]
+        return pitch_gains, travel_gains / gains[pitch]
+    # A damping ratio of 0.9, and a slow integral.
     travel_gains = np.array([travel_rad_s**2, 1.8 * travel_rad_s, 0.1 * travel_rad_s**3])
     return np.array([pitch_rad_s**2, 1.8 * pitch_rad_s]), travel_gains / travel_rad_s2_per_rad
 

@@ -172,20 +172,22 @@ def _draw_case(name: str, draw: Draw) -> PublishedCase:
 def _draw_disturbances(rng: np.random.Generator) -> tuple[DisturbanceModel, float]:
     """Draw disturbances, and the factor of the sizes that suit them."""
     kind = str(rng.choice(_DISTURBANCES))
-    strength = {"none": 0, "weak": 0, "strong": 2}.get(kind, 1)
+    weak, moderate, strong = range(len(STRENGTHS_Nm))
+    strength = {"none": weak, "weak": weak, "strong": strong}.get(kind, moderate)
     gusts_Nm = STRENGTHS_Nm[strength]
-    correlation_time_s = (
-        CORRELATION_TIMES_s[2] if kind == "slow" else CORRELATION_TIMES_s[int(rng.integers(2))]
-    )
+    *shorter_s, longest_s = CORRELATION_TIMES_s
+    correlation_time_s = longest_s if kind == "slow" else shorter_s[int(rng.integers(len(shorter_s)))]
+    # The drift is a share of the gusts. Its draws are made in each case, because their order must not change.
     shares, drift_s = rng.uniform(0.5, 1.0, 3), float(rng.uniform(20.0, 40.0))
     if kind == "none":
         gusts_Nm = (0.0, 0.0, 0.0)
-    elevation_Nm, pitch_Nm, travel_Nm = (
-        float(gust_Nm) for gust_Nm in shares * gusts_Nm * (kind == "drifting")
+    if kind != "drifting":
+        shares = np.zeros(3)
+    elevation_Nm, pitch_Nm, travel_Nm = map(float, shares * gusts_Nm)
+    disturbances = DisturbanceModel(
+        gusts_Nm, correlation_time_s, slow_std_Nm=(elevation_Nm, pitch_Nm, travel_Nm), drift_s=drift_s
     )
-    return DisturbanceModel(
-        gusts_Nm, correlation_time_s, (elevation_Nm, pitch_Nm, travel_Nm), drift_s
-    ), STRENGTH_FACTORS[strength]
+    return disturbances, STRENGTH_FACTORS[strength]
 
 
 @cache

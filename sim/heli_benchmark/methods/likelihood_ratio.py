@@ -40,8 +40,9 @@ def diagnose(case: BenchmarkCase) -> dict[str, Any]:
     parameter = best.change.parameters[0]
     if parameter in case.causes.parameter_names and best.std > 0.0:
         parameters[parameter] = Estimate(best.size, best.std)
-    certain = 1.0 - math.exp(-0.1 * best.log_evidence)
-    return answer_with(case.causes, {name: min(0.9, certain)}, parameters)
+    # The probability rises slowly with the evidence, because a cause may also imitate another change.
+    probability = 1.0 - math.exp(-0.1 * best.log_evidence)
+    return answer_with(case.causes, {name: min(0.9, probability)}, parameters)
 
 
 def identified_and_changed(case: BenchmarkCase) -> tuple[Rig, ChangeCandidate | None]:

@@ -55,7 +55,13 @@ def fly(recipe: FlightRecipe) -> Flight:
         effect.flight_rng = np.random.default_rng([recipe.seed, 4])
     if recipe.starts_on_table:
         return flown(rig, hidden, plan(f"zoo-{recipe.seed}", _DURATION_S, rng), recipe.seed)
-    route = Route(_DURATION_S, 40.0, 8.0, bool(recipe.seed % 2), 0.04 * nominal["supply"].value)
+    route = Route(
+        _DURATION_S,
+        travel_deg=40.0,
+        elevation_deg=8.0,
+        sines=bool(recipe.seed % 2),
+        excitation_V=0.04 * nominal["supply"].value,
+    )
     return tracked(rig, nominal, hidden, route, controller=recipe.controller, rate_Hz=500, rng=rng)
 
 
