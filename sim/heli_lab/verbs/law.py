@@ -140,8 +140,8 @@ def fly(
     """Fly a control law on the board, along a travel step and sines.
 
     The board takes off and lands with its own control law. If the flight fails, that law takes over, and the
-    exit code is 4. Options and files are those of `heli-host fly`. --duration applies only without --plan. The
-    code of the file runs with your rights.
+    exit code is 4. Options and files are those of `heli-host fly`. --duration applies only without --plan.
+    The code of the file runs with your rights.
 
     Example: `heli-host law fly lqi.py --sil --board due --log lqi.mcap`
     """
