@@ -30,9 +30,10 @@ class ImportTruth:
     reports: Mapping[str, str] | None = None
     """Pattern that the words of the import must match for each kind of repair, by kind."""
     unknown: tuple[str, ...] = ()
-    """Facts that the file does not show, so that a question about them is right. `mirror`: whether the rig
-    is its mirror image; `zero`: the zero of the elevation; `scale`: the unit of the angles; `supply`: the
-    supply voltage; `columns`: which column is which; `currents`: whether columns are currents or voltages."""
+    """Facts that the file does not show, so that a question about them is right. `mirror` means whether the
+    rig is its mirror image. `zero` is that of the elevation, `scale` the unit of the angles, and `supply` the
+    supply voltage. `columns` means which column is which. `currents` means whether columns are currents or
+    voltages."""
 
 
 @dataclass(frozen=True)
