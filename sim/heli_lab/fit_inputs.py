@@ -266,8 +266,9 @@ def read_parts(
     # Flights are passed on one by one, and no list keeps them in memory: ten minutes at 1 kHz take 45 MB.
     flights.reverse()
     return (
+        # The fit itself prepares a whole flight.
         flights.pop()
-        if span == (None, None)
-        else prepare(flights.pop(), inputs.rig, label, start_s=span[0], stop_s=span[1])
-        for label, span in zip(inputs.labels, spans, strict=True)
+        if start_s is None and stop_s is None
+        else prepare(flights.pop(), inputs.rig, label, start_s=start_s, stop_s=stop_s)
+        for label, (start_s, stop_s) in zip(inputs.labels, spans, strict=True)
     )

@@ -211,8 +211,8 @@ def test_equation_is_found_with_its_coefficient_and_confirmed() -> None:
     ((value, std, unit),) = proposed.discovery.values.values()
     assert unit == "N m/rad"
     assert abs(value - HIDDEN_Nm_per_rad) < 3.0 * std < 0.1 * HIDDEN_Nm_per_rad
-    assert proposed.discovery.held_out is not None
-    assert proposed.discovery.held_out > 50.0
+    assert proposed.discovery.held_out_nats is not None
+    assert proposed.discovery.held_out_nats > 50.0
     assert diagnosis.proposal is not None
     assert diagnosis.proposal.evaluation.reductions["pitch"].ratio < 0.2
     assert np.corrcoef(proposed.trace.term_Nm, proposed.trace.missing_Nm)[0, 1] > 0.9

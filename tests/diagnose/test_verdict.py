@@ -533,7 +533,7 @@ def test_an_effect_that_all_flights_show_together_is_a_cause_with_little_evidenc
     wider = explained_remainder(monkeypatch, fitted={DRAG: 8.0}, held_out={DRAG: 12.0})
     (cause,) = wider.causes
     assert wider.final.ids == ("axis_tilt", DRAG)
-    assert (cause.effect, cause.train, cause.held_out) == (DRAG, 5.0, 15.0)
+    assert (cause.effect, cause.train_nats, cause.held_out_nats) == (DRAG, 5.0, 15.0)
     # Another effect is named with it if all flights together do not distinguish them.
     other = "pitch_drag_quadratic"
     (cause,) = explained_remainder(

@@ -85,7 +85,7 @@ def pooled(rig: int, count: int) -> Pooled:
         references = refiltered(fit.filtered(), disturbances)
     std = np.sqrt(np.diag(fit.covariance))
     truth = {**{name: number.value for name, number in true.items()}, "rotor_lag_s": lag_s}
-    shared = [(i, item) for i, item in enumerate(parameter_vector.free) if item.record is None]
+    shared = [(i, item) for i, item in enumerate(parameter_vector.free) if item.is_shared]
     one_flight = {
         item.name: without_prior(
             float(theta[i]), float(std[i]), ParameterEstimate(item.prior.mean, item.prior.std, item.unit)

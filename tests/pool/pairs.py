@@ -176,7 +176,7 @@ def _diagnosis(label: str, hypothesis: Hypothesis) -> RigDiagnosis:
     std = np.sqrt(np.diag(estimate.covariance))
     priors, numbers = {}, {}
     for i, item in enumerate(estimate.parameter_vector.free):
-        if item.record is None:
+        if item.is_shared:
             priors[item.name] = ParameterEstimate(item.prior.mean, item.prior.std, item.unit)
             from_flights = without_prior(float(estimate.theta[i]), float(std[i]), priors[item.name])
             if from_flights is not None:

@@ -143,7 +143,7 @@ def identify_rig(effects: Sequence[str], start: Rig, records: Sequence[Record]) 
     estimates = {
         parameter.quantity: float(value)
         for parameter, value in zip(parameter_vector.free, fit.theta, strict=True)
-        if parameter.record is None
+        if parameter.is_shared
     }
     identified_rig = start.replace(**{name: value for name, value in estimates.items() if name in start})
     identified_effects = tuple(

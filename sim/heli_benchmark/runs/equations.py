@@ -156,7 +156,7 @@ def judge_equation(
             "channel": proposed.equation.channels[0],
             "expression": proposed.sentence,
             "confidence": proposed.confidence,
-            "nats": [proposed.discovery.train, proposed.discovery.held_out],
+            "nats": [proposed.discovery.train_nats, proposed.discovery.held_out_nats],
         }
     if proposed is None or not unlisted:
         return answer  # nothing to compare

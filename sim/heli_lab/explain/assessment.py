@@ -81,9 +81,11 @@ def absent_terms(
             continue  # no term of the baseline, or none that the fit estimates
         # Estimates and standard errors in units of the rig file's values, one per parameter of the term.
         nominal = np.array([rig[name].value for name in names])
+        # A joint estimate has left the bound of the fit.
         is_zero = [name in fit.at_bound and name not in joint for name in names]
         relative = np.where(is_zero, 0.0, np.maximum([values[name] for name in names], 0.0)) / nominal
         relative_std = np.array([reported_std[name] for name in names]) / nominal
+        # A tolerance in a rig file is two standard deviations.
         rig_std = [0.5 * rig[name].tolerance / rig[name].value for name in names]
         confidence = math.prod(map(absence_probability, relative.tolist(), relative_std.tolist(), rig_std))
         if confidence < thresholds.ABSENT_MIN_CONFIDENCE:
@@ -157,11 +159,12 @@ def influences(
     samples_with_all = normalised_samples(after.fit)
     present_conflicts = {conflict.name for conflict in prior_conflicts(after.fit)}
     result = {}
-    evidence = {cause.effect: cause.train for cause in search.causes}
+    evidence_nats = {cause.effect: cause.train_nats for cause in search.causes}
     for candidate in extended.candidates:
-        if len(extended.candidates) > 1 and (evidence[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows):
-            continue
         other_causes = [other for other in extended.candidates if other is not candidate]
+        has_much_evidence = evidence_nats[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows
+        if other_causes and has_much_evidence:
+            continue  # saves free runs; a single cause needs none, because `before` has them
         # The elimination has estimated this model: it is in the cache.
         reduced = (
             predict(
@@ -254,7 +257,16 @@ def assess(comparison: ModelComparison, search: Search, kinds: Mapping[str, Effe
     verdict = judge(search, residual, after, kinds, bool(absent), negligible, spline_counts)
     for screening in held_out_screenings:
         screening.release()
-    return Assessment(residual, extended, before, after, absent, verdict, instead, tuple(held_out_screenings))
+    return Assessment(
+        residual,
+        extended,
+        before=before,
+        after=after,
+        absent_terms=absent,
+        verdict=verdict,
+        instead=instead,
+        held_out_screenings=tuple(held_out_screenings),
+    )
 
 
 def without_splines(comparison: ModelComparison, search: Search) -> Hypothesis:
@@ -402,20 +414,20 @@ def with_remainder(
     candidate = best.scored.candidate
     start = candidate.start_values(best.scored.coefficients)
     refit = comparison.refit([*final.candidates, candidate], start, final)
-    train = refit.log_likelihood - final.log_likelihood
-    held_out = (
+    train_nats = refit.log_likelihood - final.log_likelihood
+    held_out_nats = (
         comparison.held_out_estimate(refit).log_likelihood
         - comparison.held_out_estimate(final).log_likelihood
     )
     penalty = acceptance.penalty(candidate)
     # Each set of flights must agree, because this choice has used both.
-    on_all_flights = Refit(refit, train + held_out, penalty, best.scored.log_likelihood_gain)
-    if min(train, held_out) <= 0.0 or not acceptance.accepts(on_all_flights):
+    on_all_flights = Refit(refit, train_nats + held_out_nats, penalty, best.scored.log_likelihood_gain)
+    if min(train_nats, held_out_nats) <= 0.0 or not acceptance.accepts(on_all_flights):
         return None
     cause = Cause(
         next(other for other in refit.candidates if other.id == candidate.id),
-        train=train,
-        held_out=held_out,
+        train_nats=train_nats,
+        held_out_nats=held_out_nats,
         penalty=penalty,
         alternatives=tuple(
             Alternative(other.scored.candidate.id, best.margin - other.margin)
@@ -457,30 +469,31 @@ def _on_all_flights(
     screenings: Sequence[Screening], acceptance: Acceptance, search: Search, min_nats: float
 ) -> list[_JointScore]:
     """Score listed effects that may join the causes with one coefficient for all flights, the best first."""
-    # An effect at a moment is left out, because its moment belongs to one flight.
     kinds, present_ids = acceptance.kinds, search.final.ids
     if search.rounds and search.rounds[-1].base is search.final:
+        # The last round added nothing, so its scores are about the final model.
         all_scored = list(search.rounds[-1].screened)
     else:
         compatible = [kind for kind in kinds.values() if may_join(kind.id, present_ids, kinds)]
         all_scored = screenings[0].effects(compatible)
-    scored = [
-        candidate
-        for candidate in all_scored
-        if candidate.candidate.id not in present_ids
-        and not candidate.candidate.effect.moment
-        and candidate.log_likelihood_gain >= min_nats
+    # An effect at a moment is left out, because its moment belongs to one flight.
+    eligible = [
+        scored
+        for scored in all_scored
+        if scored.candidate.id not in present_ids
+        and not scored.candidate.effect.moment
+        and scored.log_likelihood_gain >= min_nats
     ]
-    candidates = [candidate.candidate for candidate in scored]
+    candidates = [scored.candidate for scored in eligible]
     statistics = [screening.statistics(candidates) for screening in screenings]
     ranked = []
-    for candidate, *by_screening in zip(scored, *statistics, strict=True):
-        information = np.sum([of_set.information for of_set in by_screening], axis=0)
-        score = np.sum([of_set.score for of_set in by_screening], axis=0)
-        joint = score_of(information, score, coefficient_std(candidate.candidate))
-        margin = joint.log_likelihood_gain - acceptance.penalty(candidate.candidate, candidate.tried)
-        joint_candidate = replace(
-            candidate, coefficients=joint.coefficients, log_likelihood_gain=joint.log_likelihood_gain
+    for scored, *by_screening in zip(eligible, *statistics, strict=True):
+        information = np.sum([of_flights.information for of_flights in by_screening], axis=0)
+        score = np.sum([of_flights.score for of_flights in by_screening], axis=0)
+        joint = score_of(information, score, coefficient_std(scored.candidate))
+        margin = joint.log_likelihood_gain - acceptance.penalty(scored.candidate, scored.tried)
+        joint_scored = replace(
+            scored, coefficients=joint.coefficients, log_likelihood_gain=joint.log_likelihood_gain
         )
-        ranked.append(_JointScore(joint_candidate, margin))
+        ranked.append(_JointScore(joint_scored, margin))
     return sorted(ranked, key=lambda joint: -joint.margin)

@@ -182,10 +182,10 @@ class Cause:
     """An effect, or a spline term in the place of an unlisted one, with its evidence."""
 
     candidate: Candidate  # The effect or spline term
-    train: float
+    train_nats: float
     """Log-likelihood ratio of the final model over the model without the cause, on the fitted flights, nats.
     """
-    held_out: float | None
+    held_out_nats: float | None
     """The same ratio on the held-out flights, which had no part in its choice; None without such flights."""
     penalty: float  # BIC penalty, nats
     alternatives: tuple[Alternative, ...]  # Other effects that were refitted in its place, the closest first
@@ -501,11 +501,9 @@ class ModelComparison:
         self.fits += len(self._cache.used_keys) > previous_count
         ids = frozenset(candidate.id for candidate in candidates)
         best = self._best_by_ids.get(ids)
-        if (
-            best is None
-            or result.log_likelihood > best.log_likelihood
-            or _fixed_values(best.candidates) != _fixed_values(candidates)
-        ):
+        # With other fixed values, such as the moment of a step, the same ids are another model.
+        has_other_values = best is not None and _fixed_values(best.candidates) != _fixed_values(candidates)
+        if best is None or has_other_values or result.log_likelihood > best.log_likelihood:
             best = self._best_by_ids[ids] = Hypothesis(tuple(candidates), result)
         return best
 
@@ -525,6 +523,7 @@ class ModelComparison:
                 return result
             retry = self._estimate(candidates, start, submodel)
         elif likelihood < warm_start.log_likelihood - _ROUNDING_NATS:
+            # More candidates must not be less likely: the estimation has missed the maximum.
             new_candidates = [candidate for candidate in candidates if candidate.id not in warm_start.ids]
             neutral = {
                 name: value for candidate in new_candidates for name, value in candidate.neutral.items()

@@ -191,10 +191,12 @@ def missing_angle(estimate: Estimate, reduced: Estimate, cause: Candidate) -> Mi
     contribution_rad = _contributed_angles_rad(flights, reduced_screening.filtered.linearised_flights)
     axis = int(np.argmax(contribution_rad.std(axis=0)))
     quantities_by_flight = [quantity_values(linear.model.source, linear.nodes) for linear in flights]
+    # If the error depends on no quantity clearly, it is drawn over the angle of the encoder.
     name = best_quantity(quantities_by_flight, contribution_rad[:, axis], cause) or AXES[axis]
     quantity = over_all_flights(quantities_by_flight, name)
     low, step = knot_span(quantity)
 
+    # Splines of what is missing without the cause, of what remains with it, and of what it contributes.
     candidate = _spline_on_encoder(AXES[axis], name, low, step)
     missing, missing_covariance = _spline_coefficients(reduced_screening, candidate)
     remaining, _ = _spline_coefficients(screening, candidate)
@@ -302,7 +304,7 @@ def missing_torque(
     remaining = _smoothed_torques(filtered, estimate.disturbances)
     axis = _most_explained_axis(np.concatenate(torques_Nm), missing.values, contribution_Nm)
     quantity = _drawn_quantity(filtered.linearised_flights, blocks_by_flight, contribution_Nm[:, axis], cause)
-    if quantity is None:
+    if quantity is None:  # The torque depends on no quantity clearly
         quantity = _DrawnQuantity(TIME, "s", missing.t_s)
     factor, unit = display_unit("N m")
     return MissingTerm(

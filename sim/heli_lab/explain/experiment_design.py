@@ -62,9 +62,11 @@ def simulate_experiment(estimate: Estimate, plan: str) -> Record | None:
         with connected(world_of(plant, _SEED)) as heli:
             set_hover(heli, model, rig)
             flight, summary = fly_and_read(heli, Plan.parse(plan, "next flight"))
-        # The effect itself may keep an axis from its setpoint or its rest; such a flight is informative.
-        is_informative = summary.completed or summary.outcome.startswith((NOT_TRACKED, ANGLE_SHIFTED))
-        if not is_informative and "landing" not in summary.outcome:
+        # The effect itself may keep an axis from its setpoint or its rest; such a flight is informative. So
+        # is a flight that failed in its landing, after the plan.
+        has_effect = summary.outcome.startswith((NOT_TRACKED, ANGLE_SHIFTED))
+        has_landing = "landing" in summary.outcome
+        if not (summary.completed or has_effect or has_landing):
             return None
         return prepare(_thinned(flight), rig, "simulated")
     except (HeliError, SimError):

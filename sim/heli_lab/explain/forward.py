@@ -265,12 +265,13 @@ def tightly_specified_terms(
     ]
     low, high = thresholds.ABSENT_SHARE_RANGE
     removed_terms = []
-    for kind, (score, coefficients, _) in zip(removals, screening.score(share_candidates), strict=True):
-        removed_by_score = score if low < coefficients[0] < high else 0.0
-        gain = max(removed_by_score, _shrunk_prior_nats(screening, kind))
+    for kind, (score_nats, coefficients, _) in zip(removals, screening.score(share_candidates), strict=True):
+        share = coefficients[0]
+        nats_of_removal = score_nats if low < share < high else 0.0
+        gain = max(nats_of_removal, _shrunk_prior_nats(screening, kind))
         if gain < thresholds.ABSENT_MIN_NATS:
             continue
-        (name,) = kind.size
+        (name,) = kind.size  # The share that is absent
         candidate = Candidate(kind.id, replace(kind.make({name: 1.0}), priors={name: _ABSENT_PRIOR}), (name,))
         start = {parameter: comparison.rig[parameter].value for parameter in kind.override}
         removed_terms.append(RemovedTerm(candidate, {**start, name: _START_SHARE}, gain))
@@ -374,7 +375,8 @@ class ForwardSelection:
             accepted_id = accepted.candidate.id if accepted else ""
             self.rounds.append(Round(hypothesis, tuple(screened), tuple(splines), tuple(refits), accepted_id))
             if accepted is None:
-                return Selection(hypothesis, screening, not is_last and self.progress.refits_left())
+                is_complete = not is_last and self.progress.refits_left()
+                return Selection(hypothesis, screening, complete=is_complete)
             self.progress.accepted += 1
             hypothesis = accepted.hypothesis
 
@@ -478,11 +480,9 @@ class RoundRefits:
         # A spline displaces a listed effect only after that effect was refitted over its grid.
         best = self.best
         required_margin = max(thresholds.SPLINE_MIN, best.margin if best else 0.0)
-        if (
-            not splines
-            or thresholds.EXPECTED_REFIT_GAIN * splines[0].log_likelihood_gain <= required_margin
-            or not self.progress.refits_left()
-        ):
+        if not splines or not self.progress.refits_left():
+            return best
+        if thresholds.EXPECTED_REFIT_GAIN * splines[0].log_likelihood_gain <= required_margin:
             return best
         spline_refit = self._refit(splines[0])
         if spline_refit.margin > required_margin:
@@ -611,7 +611,7 @@ def _grid_neighbours(scored: ScoredCandidate, kinds: Mapping[str, EffectSpec]) -
     if kind is None or len(grid_only) != 1:
         return _GridNeighbours(candidate, [], [])
     (name,) = grid_only
-    values = kind.grid_values(1.0)[name]
+    values = kind.grid_values(seconds=1.0)[name]  # No grid without a prior depends on the duration
     nearest = int(np.argmin(np.abs(np.array(values) - candidate.grid[name])))
 
     def candidate_at(value: float) -> Candidate:

@@ -101,7 +101,7 @@ def free_run(
         for name, prior in priors.items()
     }
     problem = windows_problem(model, rig, parameters, [prediction], fixed_priors, threads)
-    window_rows = [rows for _, rows in problem.windows(0)]
+    window_rows = [rows for _, rows in problem.windows(index=0)]  # `prediction` is the only record
     fits = {}
     for key in horizons:
         runs = problem.with_split_windows(HORIZONS[key])
@@ -263,9 +263,7 @@ def _free_run(estimate: Estimate, records: Sequence[Record], own_calibration: bo
     # are those of the estimate; the result then has the parameters and the covariance of the estimate.
     parameter_vector = estimate.parameter_vector
     flight_priors = {
-        parameter.quantity: parameter.prior
-        for parameter in parameter_vector.free
-        if parameter.record is not None
+        parameter.quantity: parameter.prior for parameter in parameter_vector.free if not parameter.is_shared
     }
     values = parameter_vector.shared_by_name(estimate.theta)
     problem = windows_problem(
@@ -288,7 +286,7 @@ def _with_estimate(fit: Fit, estimate: Estimate) -> Fit:
         problem=fit.problem.with_free(vector.free),
         theta=np.array(
             [
-                value if parameter.record is None else calibrated[parameter.quantity, parameter.record]
+                value if parameter.is_shared else calibrated[parameter.quantity, parameter.record]
                 for parameter, value in zip(vector.free, estimate.theta, strict=True)
             ]
         ),

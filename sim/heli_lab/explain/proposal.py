@@ -119,6 +119,7 @@ def sentence(equation: Equation, numbers: Mapping[str, float]) -> str:
 
 def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float, str]], head: str) -> str:
     """Write an equation as an effect file for `heli-host fly`."""
+    # `numbers`: Value, standard error and unit of each parameter.
     equation = effect.equation
     values = {name: value for name, (value, _, _) in numbers.items()}
     formula = sentence(equation, values)
@@ -141,6 +142,7 @@ def effect_file(effect: EquationEffect, numbers: Mapping[str, tuple[float, float
         for name in _parameter_names(equation)
     )
     quantity_import = ", Quantity" if states else ""
+    # A backslash would escape what follows it, and three quotes would end the docstring.
     docstring = "\n".join(line.replace("\\", "").replace('"""', "'") for line in head.splitlines())
     return f'''"""{docstring}
 
@@ -334,12 +336,15 @@ class ProposedTerm:
         # It grows with the lead over the closest rival, which may be the model without an equation, and with
         # the log-likelihood ratio on the held-out flights.
         discovery = self.discovery
-        rivals = [rival.log_likelihood_ratio for rival in discovery.rivals]
-        margin = max(0.0, min([discovery.train - discovery.penalty, *rivals]))
+        lead_over_no_equation = discovery.train_nats - discovery.penalty
+        leads = [rival.log_likelihood_ratio for rival in discovery.rivals]
+        margin = max(min([lead_over_no_equation, *leads]), 0.0)
+        # Without a lead, the equation and its closest rival are equally likely.
         probability = 1.0 - 0.5 * math.exp(-margin / CONFIDENCE_NATS)
-        if discovery.held_out is None:
+        if discovery.held_out_nats is None:
             return min(EQUATION_MAX_UNCONFIRMED, probability)
-        probability /= 1.0 + math.exp(-discovery.held_out / HELD_OUT_NATS)
+        # Logistic function: 0 nats on flights that had no part in the choice mean even odds.
+        probability /= 1.0 + math.exp(-discovery.held_out_nats / HELD_OUT_NATS)
         return float(min(MAX_CONFIDENCE, probability))
 
     def effect_file(self, head: str) -> str:
@@ -374,6 +379,7 @@ def term_trace(discovery: Discovery) -> TermTrace:
     missing = smoothed_disturbances(without_equation.filtered(), without_equation.disturbances)[0]
     t_s = missing.t_s
     term_Nm = np.interp(t_s, step_s, torque_Nm[:, axis])
+    # The torque is also drawn over a quantity that the first term depends on.
     quantity = discovery.equation.terms[0].term.quantities[-1]
     return TermTrace(
         label=with_equation.references[0].record.label,
@@ -384,7 +390,7 @@ def term_trace(discovery: Discovery) -> TermTrace:
         std_Nm=missing.std[:, axis],
         on=quantity,
         unit=str(SYMBOLS[quantity].unit),
-        value=np.interp(t_s, step_s, _rotor_mean(signals.quantity(0, quantity))),
+        value=np.interp(t_s, step_s, _rotor_mean(signals.quantity(index=0, name=quantity))),
     )
 
 

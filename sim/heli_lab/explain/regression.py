@@ -85,8 +85,9 @@ class Discovery:
     disturbances."""
     hypothesis: Hypothesis
     penalty: float  # Complexity penalty for the parameters and for multiple testing, nats
-    held_out: float | None  # Log-likelihood ratio on the held-out flights, nats; None without such flights
-    curve: float | None
+    held_out_nats: float | None
+    """Log-likelihood ratio on the held-out flights, nats; None without such flights."""
+    curve_nats: float | None
     """Gain of spline terms in the place of the equation on the fitted flights, nats; None if there were none.
     """
     rivals: tuple[Rival, ...]  # Terms that were not accepted, the closest first
@@ -105,7 +106,7 @@ class Discovery:
         return effect
 
     @property
-    def train(self) -> float:
+    def train_nats(self) -> float:
         """Log-likelihood ratio over the model without the equation on the fitted flights, nats."""
         return self.hypothesis.log_likelihood - self.base.log_likelihood
 
@@ -367,7 +368,7 @@ class ListedEffects:
         """Find an effect of the catalogue that explains all flights as well as an equation does."""
         # The search may have missed this effect, because disturbances explained its torque. An effect does
         # not count if the equation encompasses it, see `encompasses`. Log-likelihoods are of all flights.
-        equation_nats = warm_start.log_likelihood - penalty + self.held_out(warm_start)
+        equation_nats = warm_start.log_likelihood - penalty + self.held_out_nats(warm_start)
         # Like a spline, an equation must exceed an effect by a share of its own lead over the base.
         lead = SPLINE_MARGIN * (equation_nats - self.base.log_likelihood)
         required_nats = equation_nats - max(MIN_MARGIN, lead)
@@ -382,7 +383,7 @@ class ListedEffects:
             ):
                 break
             rival = self.refit(effect, start, warm_start)
-            penalised_nats = self.penalised_nats(rival, effect) + self.held_out(rival)
+            penalised_nats = self.penalised_nats(rival, effect) + self.held_out_nats(rival)
             if (
                 penalised_nats > required_nats
                 and self.comparison.in_flight(rival)
@@ -433,7 +434,7 @@ class ListedEffects:
         prior_nats = sum(0.5 * ((value - prior.mean) / prior.std) ** 2 for value, prior in parameters)
         return model.log_likelihood + prior_nats - self.complexity_penalty(effect)
 
-    def held_out(self, model: Hypothesis) -> float:
+    def held_out_nats(self, model: Hypothesis) -> float:
         """Return the log-likelihood ratio of a `model` over the base on the held-out flights, nats."""
         if not self.comparison.held_out:
             return 0.0
@@ -457,7 +458,7 @@ class ListedEffects:
         def gain_over(model: Hypothesis) -> float:
             """Return the gain of the model with both over another model on all flights, nats."""
             fitted = with_both_terms.log_likelihood - model.log_likelihood
-            return fitted + self.held_out(with_both_terms) - self.held_out(model)
+            return fitted + self.held_out_nats(with_both_terms) - self.held_out_nats(model)
 
         equation_gain, effect_gain = gain_over(rival), gain_over(warm_start)
         return equation_gain - penalty > max(MIN_MARGIN, effect_gain - self.complexity_penalty(effect))
@@ -496,9 +497,8 @@ class EquationSearch:
 
     refits: EquationRefits  # Refits equations, and knows their penalties
     say: Callable[[str], None]  # Called with the present step in words
-    rivals: dict[str, float] = field(default_factory=dict)
-    """Terms that were not accepted: log-likelihood ratio of the accepted term over each, penalties included,
-    nats."""
+    lead_over_rival: dict[str, float] = field(default_factory=dict)
+    """Log-likelihood ratio of the accepted term over each that was not, penalties included, nats."""
 
     def round(
         self, current: RefittedEquation | None, disturbances: DisturbanceModel
@@ -529,8 +529,8 @@ class EquationSearch:
     ) -> RefittedEquation | None:
         """Refit the current equation with each finalist; return the refit of the largest margin."""
         # The result is None if its margin does not exceed that of the current equation by `MIN_MARGIN`. The
-        # lead over each other finalist is stored in `rivals`. A score is confirmed if the refit gains a share
-        # of it; the search stops after `EQUATION_FINALISTS` confirmed ones to save time.
+        # lead over each other finalist is stored in `lead_over_rival`. A score is confirmed if the refit
+        # gains a share of it; the search stops after `EQUATION_FINALISTS` confirmed ones to save time.
         best: RefittedEquation | None = None
         margin_by_group = dict[str, float]()
         confirmed_scores = 0
@@ -552,7 +552,7 @@ class EquationSearch:
         if best is None or best.penalised_nats - (warm_start.log_likelihood - current_penalty) <= MIN_MARGIN:
             return None
         best_margin = margin_by_group.pop(best.group.key)
-        self.rivals |= {key: best_margin - margin for key, margin in margin_by_group.items()}
+        self.lead_over_rival |= {key: best_margin - margin for key, margin in margin_by_group.items()}
         return best
 
     def slow_finalists(
@@ -571,6 +571,7 @@ class EquationSearch:
         disturbances_without_drift = replace(
             disturbances, slow_std=np.where(is_slow, _NO_DRIFT_Nm, disturbances.slow_std), curvature=None
         )
+        # A drift is a torque: it does not hide an error of a measurement.
         dynamic_groups = [
             group for group in all_groups if not group.terms[0].channel.startswith("measurement")
         ]
@@ -596,12 +597,11 @@ class EquationSearch:
 
         finalists: list[ScoredTermGroup] = []
         for scored_group in sorted(scored, key=net_gain, reverse=True):
+            if len(finalists) >= 2 * EQUATION_FINALISTS:
+                break
             expected_gain = EXPECTED_REFIT_GAIN * scored_group.log_likelihood_gain
-            if (
-                expected_gain <= penalty(scored_group) + MIN_MARGIN
-                or len(finalists) >= 2 * EQUATION_FINALISTS
-            ):
-                continue
+            if expected_gain <= penalty(scored_group) + MIN_MARGIN:
+                continue  # no refit can be accepted
             family = _channel_and_quantities(scored_group.group)
             if sum(_channel_and_quantities(other.group) == family for other in finalists) < ALTERNATIVES:
                 finalists.append(scored_group)
@@ -623,24 +623,24 @@ def free_name(used: Collection[str]) -> str:
 class _ConfirmedEquation(NamedTuple):
     """An equation whose last term the held-out flights confirmed."""
 
-    # `held_out` is its log-likelihood ratio there, nats, None without such flights. `rivals` are the leads
-    # over other terms, nats, by key.
-
     refitted: RefittedEquation
-    held_out: float | None
-    rivals: dict[str, float]
+    held_out_nats: float | None  # Log-likelihood ratio on these flights, nats; None without such flights
+    lead_over_rival: dict[str, float]  # Lead over each other term, nats, by the term's key
 
 
 def _select_terms(
-    search: EquationSearch, disturbances: DisturbanceModel, without: Estimate | None, max_refits: float
+    search: EquationSearch,
+    disturbances: DisturbanceModel,
+    without_equation: Estimate | None,
+    max_refits: float,
 ) -> _ConfirmedEquation | None:
     """Add groups of terms until none exceeds its penalty or is confirmed by the held-out flights; None if the
     first group fails.
     """
-    # `without` is the model without an equation on the held-out flights; None if there are none.
+    # `without_equation` is the model without an equation on the held-out flights; None if there are none.
     comparison = search.refits.comparison
     confirmed: _ConfirmedEquation | None = None
-    previous_held_out = 0.0
+    confirmed_nats = 0.0
     while comparison.fits < max_refits:
         current = confirmed.refitted if confirmed is not None else None
         term_count = len(current.equation.terms) if current is not None else 0
@@ -649,17 +649,18 @@ def _select_terms(
         if current is not None:
             disturbances = current.hypothesis.estimate.disturbances
         result = search.round(current, disturbances)
+        # A round also simplifies the equation, which may remove the term that it added.
         if result is None or len(result.equation.terms) <= term_count:
             break
-        held_out = None
-        if without is not None:
+        held_out_nats = None
+        if without_equation is not None:
             with_equation = comparison.held_out_estimate(result.hypothesis)
-            held_out = with_equation.log_likelihood - without.log_likelihood
+            held_out_nats = with_equation.log_likelihood - without_equation.log_likelihood
             # Flights that had no part in its choice must confirm each term.
-            if held_out - previous_held_out < MIN_MARGIN:
+            if held_out_nats - confirmed_nats < MIN_MARGIN:
                 break
-            previous_held_out = held_out
-        confirmed = _ConfirmedEquation(result, held_out, dict(search.rivals))
+            confirmed_nats = held_out_nats
+        confirmed = _ConfirmedEquation(result, held_out_nats, dict(search.lead_over_rival))
     return confirmed
 
 
@@ -693,14 +694,14 @@ def discover(
     if catalogue.equivalent_effect(refitted.equation, refitted.hypothesis, refitted.penalty) is not None:
         return None  # the search missed a listed effect: no equation is needed
     hypothesis, superfluous = catalogue.without_superfluous(refitted.hypothesis)
-    rivals = [Rival(key, ratio) for key, ratio in confirmed.rivals.items()]
+    rivals = [Rival(key, lead) for key, lead in confirmed.lead_over_rival.items()]
     return Discovery(
         equation=refitted.equation,
         base=base,
         hypothesis=hypothesis,
         penalty=refitted.penalty,
-        held_out=confirmed.held_out,
-        curve=spline_gain,
+        held_out_nats=confirmed.held_out_nats,
+        curve_nats=spline_gain,
         rivals=tuple(sorted(rivals, key=lambda rival: rival.log_likelihood_ratio)),
         tried=max(search.refits.tried.values()),
         superfluous=superfluous,

@@ -172,18 +172,24 @@ def replicate(
     ids = [cause.effect for cause in assessment.verdict.causes]
     if not ids:
         return Replication(
-            {}, assessment.extended, assessment.after, evaluation, (), lambda _ids: assessment.after
+            {},
+            assessment.extended,
+            prediction=assessment.after,
+            evaluation=evaluation,
+            worse=(),
+            with_causes=lambda _ids: assessment.after,
         )
     models = _CauseSubsets(comparison, search, assessment, evaluation, calibrate_s)
     if models.directions is None:
-        causes = {id_: CauseReplication(None, None, _TOO_SHORT) for id_ in ids}
-        return _replication(models, causes, ())
+        causes = {id_: CauseReplication(forward=None, reverse=None, why_not=_TOO_SHORT) for id_ in ids}
+        return _replication(models, causes, worse=())
     reasons = {id_: models.contradiction(id_) for id_ in ids}
     worse_with_all = models.worse_axes(ids)
     confirmed_ids = [id_ for id_ in ids if not reasons[id_]]
     # Drop causes one by one until no axis is predicted worse than by the baseline.
     while True:
-        worse = worse_with_all if len(confirmed_ids) == len(ids) else models.worse_axes(confirmed_ids)
+        are_all_confirmed = len(confirmed_ids) == len(ids)
+        worse = worse_with_all if are_all_confirmed else models.worse_axes(confirmed_ids)
         if not worse:
             break
         harmful_id = models.most_harmful(confirmed_ids, worse)
@@ -278,7 +284,7 @@ class _CauseSubsets:
         forward, reverse = self.directions
         if forward is not None:
             return forward.log_likelihood_ratio, reverse.log_likelihood_ratio
-        search_ratios = {cause.effect: cause.held_out or 0.0 for cause in self.assessment.verdict.causes}
+        search_ratios = {cause.effect: cause.held_out_nats or 0.0 for cause in self.assessment.verdict.causes}
         return search_ratios, reverse.log_likelihood_ratio
 
     def contradiction(self, id_: str) -> str:

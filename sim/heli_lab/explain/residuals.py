@@ -441,6 +441,7 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     functions = _dependence_functions(quantities, scales, first_flight.trajectory.step_s)
     rest_nats = _rest_nats(scales, first_flight.reference.record.resolution)
     tests = [_Test(" on ".join(spline.dependence), coefficient_std(spline), spline) for spline in splines]
+    # `curves` has an array per flight, one column per coefficient of the function.
     tests += [
         _Test(f"torque.{axis} on {name}", np.full(curves[0].shape[1], std_Nm), curves)
         for name, curves in functions.items()
@@ -448,15 +449,15 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
     ]
     # One list per set of flights, in the order of the tests.
     statistics_by_screening = []
-    first = 0
+    first_index = 0
     for screening in screenings:
         # `functions` has the curves of all flights, one set of flights after the other.
-        flights = slice(first, first + len(screening.filtered.linearised_flights))
+        flights = slice(first_index, first_index + len(screening.filtered.linearised_flights))
         curves_by_name = {name: curves[flights] for name, curves in functions.items()}
         statistics_by_screening.append(
             [*screening.spline_information(splines), *_function_statistics(screening, curves_by_name)]
         )
-        first = flights.stop
+        first_index = flights.stop
     result = [
         _dependence(test, rest_nats.get(test.name, 0.0), statistics, screenings)
         for test, *statistics in zip(tests, *statistics_by_screening, strict=True)

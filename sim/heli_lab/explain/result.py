@@ -328,11 +328,12 @@ class Diagnosis:
         """
         if with_term and self.proposal is not None:
             fit, term = self.proposal.evaluation.prediction.fit, self.proposal.term
-            named = {
+            *named_causes, _equation = term.discovery.hypothesis.candidates
+            causes = {
                 candidate.id: cause_parameters(fit, self.kinds[candidate.id], candidate.effect.values)
-                for candidate in term.discovery.hypothesis.candidates[:-1]
+                for candidate in named_causes
             }
-            return extended_rig(name, fit, self.kinds, named, term)
+            return extended_rig(name, fit, self.kinds, causes, term)
         if with_unconfirmed:
             fit = self.assessment.after.fit
             causes = {cause.effect: dict(cause.parameters) for cause in self.verdict.causes}
@@ -357,7 +358,7 @@ class Diagnosis:
             }
         if with_unconfirmed or self.has_other_flight:
             causes |= self.random_torque
-        return extended_rig(name, fit, self.kinds, causes, None)
+        return extended_rig(name, fit, self.kinds, causes, term=None)
 
     @property
     def has_converged_estimate(self) -> bool:

@@ -146,27 +146,7 @@ def diagnose(
         tried = {id_: kind for id_, kind in available.items() if _is_candidate(kind, model, known, available)}
         if loop_Hz is not None:
             comparison = comparison.with_advance(functools.partial(sampled_advance, loop_Hz=loop_Hz))
-        result, assessment = _search_and_assess(comparison, tried, available, report, refits)
-        timed_comparison = with_likelier_advance(
-            comparison, [result.screening, *assessment.held_out_screenings], loop_Hz
-        )
-        if timed_comparison is not None:
-            report("repeating the search with voltages that act early", 0.5)
-            timed_result, timed_assessment = _search_and_assess(
-                timed_comparison, tried, available, report, refits
-            )
-            was_unexplained = assessment.verdict.label == "unexplained"
-            if was_unexplained or timed_assessment.verdict.label != "unexplained":
-                comparison, result, assessment = timed_comparison, timed_result, timed_assessment
-        noisy_comparison = justified_thrust_noise(comparison, result, assessment)
-        if noisy_comparison is not None:
-            noisy_result, noisy_assessment = _search_and_assess(
-                noisy_comparison, tried, available, report, refits
-            )
-            if noisy_assessment.verdict.label != "unexplained":
-                comparison, result, assessment = noisy_comparison, noisy_result, noisy_assessment
-        if comparison.fits < refits:
-            result, assessment = with_listed_remainder(comparison, result, assessment, tried, available)
+        comparison, result, assessment = _explain(comparison, tried, available, report, refits, loop_Hz)
         undetectable = undetectable_effects(result.rounds[-1].screened, available)
         evaluation = evaluate_held_out(comparison, result, assessment, calibrate_s)
         report("judging the causes in the reverse direction", 0.91)
@@ -184,13 +164,13 @@ def diagnose(
             assessment,
             replication,
             available,
-            undetectable,
-            unidentifiable_parameters(result.baseline.estimate),
-            tuple(str(why) for why in (*skipped, *skipped_held_out)),
-            next_flight,
-            proposal,
-            Effort(comparison.fits, time.perf_counter() - started_s),
-            curved,
+            undetectable=undetectable,
+            unidentifiable=unidentifiable_parameters(result.baseline.estimate),
+            skipped=tuple(str(why) for why in (*skipped, *skipped_held_out)),
+            next_flight=next_flight,
+            proposal=proposal,
+            effort=Effort(comparison.fits, time.perf_counter() - started_s),
+            curved=curved,
         )
 
 
@@ -198,6 +178,44 @@ def _labels_and_numbers(labels: Sequence[str]) -> Iterator[str]:
     """Yield the given `labels`, then ``flight N`` for further flights, where N counts all flights."""
     yield from labels
     yield from (f"flight {number}" for number in itertools.count(1 + len(labels)))
+
+
+def _explain(
+    comparison: ModelComparison,
+    tried: Mapping[str, EffectSpec],
+    available: Mapping[str, EffectSpec],
+    report: Callable[[str, float], None],
+    refits: float,
+    loop_Hz: float | None,
+) -> tuple[ModelComparison, Search, Assessment]:
+    """Search for causes, and again with other assumptions on voltages and thrust if the flights need them;
+    return the comparison with its assumptions, the search and its assessment.
+    """
+    # The arguments are as in `_search_and_assess`, `loop_Hz` as in `diagnose`. Another assumption must not
+    # leave unexplained what was explained without it.
+
+    def attempt(comparison: ModelComparison) -> tuple[Search, Assessment]:
+        """Search with the assumptions of a comparison."""
+        return _search_and_assess(comparison, tried, available, report, refits)
+
+    result, assessment = attempt(comparison)
+    timed_comparison = with_likelier_advance(
+        comparison, [result.screening, *assessment.held_out_screenings], loop_Hz
+    )
+    if timed_comparison is not None:
+        report("repeating the search with voltages that act early", 0.5)
+        timed_result, timed_assessment = attempt(timed_comparison)
+        was_unexplained = assessment.verdict.label == "unexplained"
+        if was_unexplained or timed_assessment.verdict.label != "unexplained":
+            comparison, result, assessment = timed_comparison, timed_result, timed_assessment
+    noisy_comparison = justified_thrust_noise(comparison, result, assessment)
+    if noisy_comparison is not None:
+        noisy_result, noisy_assessment = attempt(noisy_comparison)
+        if noisy_assessment.verdict.label != "unexplained":
+            comparison, result, assessment = noisy_comparison, noisy_result, noisy_assessment
+    if comparison.fits < refits:
+        result, assessment = with_listed_remainder(comparison, result, assessment, tried, available)
+    return comparison, result, assessment
 
 
 def _search_and_assess(
@@ -223,7 +241,7 @@ def _search_and_assess(
     has_removed_term = any(id_ in available and available[id_].override for id_ in ids)
     if has_removed_term and assessment.verdict.label == "unexplained":
         # An unlisted cause may imitate the absence of a tightly specified term.
-        return attempt(())
+        return attempt(removable=())
     return result, assessment
 
 

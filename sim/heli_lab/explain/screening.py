@@ -410,9 +410,10 @@ class Screening:
         self.seconds = max(float(model.trajectory.t_s[-1]) for model in filtered.linearised_flights)
         self._grids = EffectGrids(filtered, disturbances, self.seconds)
         rows = max(model.rows for model in filtered.linearised_flights)
+        # Regressors that a thread filters together. A spline has `KNOTS`; if these exceed its memory, as on a
+        # long flight, only one thread runs.
         batch = _BATCH_NUMBERS // (rows * filtered.linearised_flights[0].states)
         self.batch = max(KNOTS, batch)
-        # On a long flight, even the smallest batch exceeds the memory of one thread.
         self.threads = default_thread_count() if batch >= KNOTS else 1
         self._innovations = innovations = filtered.innovations(disturbances)
         parameter_vector = estimate.parameter_vector
@@ -503,7 +504,7 @@ class Screening:
         for flight_regressors, innovations, parameter_columns, error in zip(
             regressors, self._innovations.flights, self._innovations.columns, self._step.error, strict=True
         ):
-            derivatives = innovations[:, 1:]
+            derivatives = innovations[:, 1:]  # By the free parameters; column 0 has the innovations
             cross_information[parameter_columns] += derivatives.T @ flight_regressors
             score += flight_regressors.T @ error
             for number, columns in enumerate(candidate_columns):
@@ -645,7 +646,6 @@ def _concentrated_score(
     signals = [signals_of(flight, [scored.candidate]) for flight in screening.regressors]
     prior_std = coefficient_std(scored.candidate)
     coefficients = scored.coefficients
-    information = np.diag(prior_std**-2.0)
     for _ in range(_ITERATIONS):
         remaining = _residuals_after(screening, residuals, signals, coefficients)
         disturbances = estimate_disturbances(filtered, remaining, disturbances)
@@ -654,7 +654,7 @@ def _concentrated_score(
         flight_regressors = filtered.regressors(disturbances, signals)
         for regressors, flight_innovations in zip(flight_regressors, innovations.flights, strict=True):
             information += regressors.T @ regressors
-            score += regressors.T @ flight_innovations[:, 0]
+            score += regressors.T @ flight_innovations[:, 0]  # The other columns have derivatives
         coefficients = np.asarray(np.linalg.solve(information, score), float)
     remaining = _residuals_after(screening, residuals, signals, coefficients)
     likelihood_with = float(filtered.log_likelihoods([disturbances], remaining).sum())

@@ -159,7 +159,7 @@ def held_out_screening(comparison: ModelComparison, hypothesis: Hypothesis) -> S
     constants = held_out.parameter_vector.by_name(held_out.theta)
     theta = vector.started_from({**fitted.parameter_vector.shared_by_name(fitted.theta), **constants})
     # Shared parameters come first in both vectors.
-    shared = slice(sum(parameter.record is None for parameter in vector.free))
+    shared = slice(sum(parameter.is_shared for parameter in vector.free))
     precision = np.diag(vector.std**-2.0)
     precision[shared, shared] = np.linalg.inv(fitted.covariance[shared, shared])
     mean = vector.mean.copy()
@@ -283,6 +283,7 @@ class BackwardElimination:
         contradicted = {id_ for id_, ratio in held_out_ratios.items() if ratio < _required_ratio(id_)}
         weakest = min(contradicted, key=lambda id_: held_out_ratios[id_], default=None)
         if weakest is not None:
+            # Without this cause, others may be significant or contradicted, so the elimination begins again.
             self.contradicted_ids.add(weakest)
             return self.eliminate(self.restore_displaced(final, weakest, reduced_by_id[weakest]))
         compared_by_id = {
@@ -295,14 +296,14 @@ class BackwardElimination:
         causes = [
             Cause(
                 candidate,
-                train=final.log_likelihood - reduced_by_id[candidate.id].log_likelihood,
-                held_out=held_out_ratios.get(candidate.id),
+                train_nats=final.log_likelihood - reduced_by_id[candidate.id].log_likelihood,
+                held_out_nats=held_out_ratios.get(candidate.id),
                 penalty=self.acceptance.penalty(candidate),
                 alternatives=tuple(compared.alternative for compared in compared_by_id[candidate.id]),
             )
             for candidate in final.candidates
         ]
-        return final, sorted(causes, key=lambda cause: -cause.train)
+        return final, sorted(causes, key=lambda cause: -cause.train_nats)
 
     def _more_probable(
         self, compared_by_id: Mapping[str, Sequence[Compared]], reduced_by_id: Mapping[str, Hypothesis]
@@ -322,6 +323,7 @@ class BackwardElimination:
             reduced = reduced_by_id[id_]
             gain = hypothesis.log_likelihood - reduced.log_likelihood
             other = next(candidate for candidate in hypothesis.candidates if candidate.id == other_id)
+            # The effect was refitted without a score test.
             refit = Refit(hypothesis, gain, self.acceptance.penalty(other), score=0.0, added_id=other_id)
             if not self.acceptance.accepts(refit):
                 continue
@@ -405,8 +407,7 @@ class BackwardElimination:
         """Refit other effects in the place of a cause: those of its round, and those of its family, which a
         low score or the limit of refits may have kept out.
         """
-        # Return them with their models, the closest first.
-        # `reduced` is the model without the cause.
+        # Return them with their models, the closest first. `reduced` is the model without the cause.
         if candidate.is_spline:
             return []  # effects in its place were refitted before it was accepted
         round_ = self._round_of(candidate.id)
@@ -422,8 +423,8 @@ class BackwardElimination:
             if replaced is None or {*replaced.ids} != {present.id for present in candidates}:
                 replaced = self.comparison.refit(candidates, replaced.params if replaced else None, reduced)
             if self.comparison.in_flight(replaced) and not self._adds_unresolved(candidate, other, replaced):
-                ratio = final.log_likelihood - replaced.log_likelihood
-                ratio = ratio + self.acceptance.penalty(other) - self.acceptance.penalty(candidate)
+                nats = final.log_likelihood - replaced.log_likelihood
+                ratio = nats + self.acceptance.penalty(other) - self.acceptance.penalty(candidate)
                 compared.append(Compared(Alternative(other.id, ratio), replaced))
 
         for refit in self._likely_alternatives(final, other_causes, round_refits):

@@ -405,13 +405,14 @@ def _regressors(
         for term, by_flight in zip(column.group.terms, column.values, strict=True)
     ]
     disturbances = screening.estimate.disturbances
+    # The columns of all terms side by side, which are the last axis of their arrays.
     if channel_kind(channel) == "torque":
-        torques = [np.concatenate([by_flight[i] for _, by_flight in terms], axis=1) for i in flights]
+        torques = [np.concatenate([by_flight[i] for _, by_flight in terms], axis=-1) for i in flights]
         axis = AXES.index(channel_place(channel))
         return screening.filtered.disturbance_regressors(disturbances, axis, torques)
     changes: list[CandidateSignals] = []
     for i in flights:
-        change = np.concatenate([signals.signal(i, term, by_flight[i]) for term, by_flight in terms], axis=2)
+        change = np.concatenate([signals.signal(i, term, by_flight[i]) for term, by_flight in terms], axis=-1)
         if channel_kind(channel) == "measurement":
             no_rates = np.zeros((len(change), signals.linearised_flights[i].states, change.shape[2]))
             changes.append(CandidateSignals(no_rates, measured_rad=change))

@@ -533,6 +533,7 @@ def equation_effect(
     equation: Equation, prior_std: Mapping[str, float], held: Collection[str] = (), name: str = NAME
 ) -> EquationEffect:
     """Make the effect of an equation with all coefficients at 0."""
+    # `held`: Names of the inner parameters that keep their values: they get no prior.
     prefix = name.replace(".", "_")
     values, priors, parameters = dict[str, float](), dict[str, Prior](), []
     for coefficient, term in zip(equation.coefficient_names, equation.terms, strict=True):

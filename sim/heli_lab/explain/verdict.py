@@ -71,9 +71,12 @@ def family_number(
     # The number is a weighted sum of the effect's parameters. Its standard error follows from their
     # covariance.
     family = kind.family
-    members = tuple(other.id for other in kinds.values() if other.family == family)
-    if family is None or not family.sentence or (family.in_part and not {*members} & {*ambiguous_with}):
+    if family is None or not family.sentence:
         return None
+    members = tuple(other.id for other in kinds.values() if other.family == family)
+    is_ambiguous = not {*members}.isdisjoint(ambiguous_with)
+    if family.in_part and not is_ambiguous:
+        return None  # the number has no meaning for this effect alone
     divisor = _value_of(kind.family_divisor, fit) if kind.family_divisor else 1.0
     weights = {kind.full(name): weight / divisor for name, weight in kind.family_numbers.items()}
     names = list(weights)
@@ -179,7 +182,9 @@ def judge(
         if not cause.candidate.is_spline and cause.effect not in negligible_ids
     )
     if is_unexplained:
-        return Verdict("unexplained", causes, splines, False, negligible_effects)
+        return Verdict(
+            "unexplained", causes, splines, random_torque=False, negligible_effects=negligible_effects
+        )
     if any(cause.ambiguous_with for cause in causes):
         label = "ambiguous"
     elif causes or random_torque or absent:
@@ -187,7 +192,14 @@ def judge(
     else:
         label = "explained"
     negligible_dependences = dependences if is_above_quantisation else ()
-    return Verdict(label, causes, (), random_torque, negligible_effects, negligible_dependences)
+    return Verdict(
+        label,
+        causes,
+        unlisted=(),
+        random_torque=random_torque,
+        negligible_effects=negligible_effects,
+        negligible_dependences=negligible_dependences,
+    )
 
 
 def _negligible_dependences(
@@ -201,7 +213,7 @@ def _negligible_dependences(
     negligible_splines = splines if spline_counts < thresholds.MATTERS_COUNTS else ()
     return (
         *(
-            NegligibleDependence(" on ".join(s.candidate.dependence), spline_counts, s.train)
+            NegligibleDependence(" on ".join(s.candidate.dependence), spline_counts, s.train_nats)
             for s in negligible_splines
         ),
         *(
@@ -284,14 +296,14 @@ def confidence(cause: Cause, unexplained: bool = False) -> float:
     """Return the probability, 0 to 1, that a cause is named correctly."""
     # The probability grows with the lead over the closest rival, which may be the model without the cause,
     # and with the log-likelihood ratio on the held-out flights.
-    lead_over_no_cause = cause.train - cause.penalty
+    lead_over_no_cause = cause.train_nats - cause.penalty
     leads = [alternative.log_likelihood_ratio for alternative in cause.alternatives]
     margin = max(min([lead_over_no_cause, *leads]), 0.0)
     # Without a lead, the cause and its closest rival are equally likely.
     probability = 1.0 - 0.5 * math.exp(-margin / thresholds.CONFIDENCE_NATS)
-    if cause.held_out is not None:
+    if cause.held_out_nats is not None:
         # Logistic function: 0 nats on flights that had no part in the choice mean even odds.
-        probability *= 1.0 / (1.0 + math.exp(-cause.held_out / thresholds.HELD_OUT_NATS))
+        probability *= 1.0 / (1.0 + math.exp(-cause.held_out_nats / thresholds.HELD_OUT_NATS))
     factor = thresholds.CONFIDENCE_FACTOR_UNEXPLAINED if unexplained else 1.0
     return float(min(thresholds.MAX_CONFIDENCE, probability) * factor)
 

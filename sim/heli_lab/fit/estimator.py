@@ -39,6 +39,10 @@ _DIFFERENCE: Final = 0.03
 """Change of a logarithm in numerical derivatives: 3 % of each parameter."""
 _LONGEST_MOVE: Final = 1.2
 """Largest change of a logarithm in one step."""
+_LONG_MOVE: Final = 0.5
+"""Change of a logarithm after which the curvature is computed again."""
+_ARMIJO_SHARE: Final = 0.1
+"""Share of the predicted gain that a step must reach (Armijo's rule)."""
 _MIN_CURVATURE: Final = 0.5
 """Smallest curvature that a step uses, in nats for a change by the factor e. A parameter with less is hardly
 determined, and a Newton step of it would be far too long."""
@@ -126,8 +130,9 @@ class _Likelihood:
         """Compute the log-likelihood at a point, and its negative second derivatives near it. Returns shape
         `values` (m,), `curvature` (f, f).
         """
-        # Differences of step h: f'' = (f(x+h) - 2 f(x) + f(x-h)) / h^2, and for two parameters
-        # (f(x+h, y+h) - f(x+h, y) - f(x, y+h) + f(x, y)) / h^2.
+        # Differences of step h of the likelihood L: L'' = (L(x+h) - 2 L(x) + L(x-h)) / h^2, and for two
+        # parameters (L(x+h, y+h) - L(x+h, y) - L(x, y+h) + L(x, y)) / h^2. A second difference needs a larger
+        # step than a first one, because rounding errors are divided by the square.
         h = 3 * _DIFFERENCE
         inside = np.clip(point, self.low + h, self.high - h)
         points = [point, inside]
@@ -181,7 +186,7 @@ def maximise(
     # `start_values` are the log-likelihoods at `start`, None if they are not known.
     likelihood = _Likelihood(value, start, std_range)
     point, curvature = likelihood.inside(start.logarithms), start.curvature
-    curvature_is_new = curvature is None
+    has_new_curvature = curvature is None
     if curvature is None:
         values, curvature = likelihood.curvature(point)
     else:
@@ -197,22 +202,24 @@ def maximise(
             break  # converged
         trials = likelihood.at(*(point + share * move for share in _SHARES))
         gains = trials.sum(axis=1) - values.sum()
-        # Armijo's rule; the longest acceptable step is taken.
-        acceptable = [i for i, share in enumerate(_SHARES) if gains[i] > 0.1 * share * predicted_gain]
+        # The longest acceptable step is taken.
+        acceptable = [
+            i for i, share in enumerate(_SHARES) if gains[i] > _ARMIJO_SHARE * share * predicted_gain
+        ]
         if not acceptable:
             # A new curvature may give a better step; without a new one, the search ends.
-            if curvature_is_new:
+            if has_new_curvature:
                 break
             values, curvature = likelihood.curvature(point)
-            curvature_is_new = True
+            has_new_curvature = True
             continue
         best = acceptable[0]
         point, values = likelihood.inside(point + _SHARES[best] * move), trials[best]
         if gains[best] < tolerance_nats:
-            break
+            break  # converged
         # After a shortened or a long step, the curvature of the last point is too inaccurate.
-        curvature_is_new = _SHARES[best] < 1.0 or bool(np.abs(move).max() > 0.5)
-        if curvature_is_new:
+        has_new_curvature = _SHARES[best] < 1.0 or bool(np.abs(move).max() > _LONG_MOVE)
+        if has_new_curvature:
             values, curvature = likelihood.curvature(point)
     return start.with_logarithms(point, curvature)
 
@@ -458,28 +465,31 @@ class _GaussNewton:
 
     def run(self, iterate: _Iterate) -> tuple[_Iterate, bool]:
         """Search from an `iterate`; return the last iterate, and whether the search has converged."""
-        last_log_posterior = -np.inf
+        # `promised_nats` is the gain of the next step of the parameters as the linearised model predicts it.
+        # An iteration is a step of the parameters, if it promises enough, then one of the disturbances.
+        previous_log_posterior = -np.inf
         for _ in range(_MAX_ITERATIONS):
             if iterate.log_posterior == -np.inf:
                 return iterate, False  # the model diverges
             if iterate.step.promised_nats > _CONVERGED_NATS:
-                after = self.with_next_parameters(iterate)
-                if after is None:
+                after_step = self.with_next_parameters(iterate)
+                if after_step is None:
                     # A step may fail under wrong disturbances, and succeed under better ones.
                     with_better_disturbances = self.with_next_disturbances(iterate, _CONVERGED_NATS)
-                    gained_nats = with_better_disturbances.log_posterior - iterate.log_posterior
-                    if not self.retries_failed_steps or gained_nats < _MIN_ITERATION_GAIN_NATS:
+                    disturbance_gain_nats = with_better_disturbances.log_posterior - iterate.log_posterior
+                    if not self.retries_failed_steps or disturbance_gain_nats < _MIN_ITERATION_GAIN_NATS:
                         return with_better_disturbances, False
                     iterate = with_better_disturbances
-                    continue
-                iterate = after
+                    continue  # the step is still due, so that the search cannot have converged
+                iterate = after_step
             # As long as the parameters change much, rough disturbances are enough.
             tolerance_nats = max(_CONVERGED_NATS, _DISTURBANCE_SHARE * iterate.step.promised_nats)
             iterate = self.with_next_disturbances(iterate, tolerance_nats)
-            gained_nats = iterate.log_posterior - last_log_posterior
-            if iterate.step.promised_nats < _CONVERGED_NATS and gained_nats < _MIN_ITERATION_GAIN_NATS:
+            iteration_gain_nats = iterate.log_posterior - previous_log_posterior
+            is_promise_small = iterate.step.promised_nats < _CONVERGED_NATS
+            if is_promise_small and iteration_gain_nats < _MIN_ITERATION_GAIN_NATS:
                 return iterate, True
-            last_log_posterior = iterate.log_posterior
+            previous_log_posterior = iterate.log_posterior
         return iterate, False
 
 

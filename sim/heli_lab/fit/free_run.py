@@ -69,6 +69,10 @@ class Inputs:
         return int(self.steps.sum())
 
 
+_COMPARISON_DEPTH: Final = 10
+"""Depth to which CasADi compares expressions: two that differ only below count as different."""
+
+
 class Functions:
     """Rates, measured angles and reset map of a model as CasADi functions, each also with its Jacobians."""
 
@@ -86,8 +90,8 @@ class Functions:
         rates = ca.densify(model.dynamics(x, u, p, t))
         angles = ca.densify(model.measurement(x, u, p, t))
         to_free = [p[i] for i in self.free_index]
-        # The number 10 is the depth to which CasADi compares expressions.
-        self.angles_are_states = bool(ca.is_equal(angles, x[:3], 10))
+        positions = x[:3]
+        self.angles_are_states = bool(ca.is_equal(angles, positions, _COMPARISON_DEPTH))
 
         def with_derivatives(value: ca.SX) -> list[ca.SX]:
             """List a value and its Jacobians to the state, to the free parameters and to the inputs."""
@@ -103,7 +107,7 @@ class Functions:
         self.angles = function("heli_angles", [angles])
         self.angles_jacobian = function("heli_angles_jacobian", with_derivatives(angles))
         reset_map = ca.densify(model.reset_map(x, u, p, t))
-        self.has_reset = not ca.is_equal(reset_map, x, 10)
+        self.has_reset = not ca.is_equal(reset_map, x, _COMPARISON_DEPTH)
         """Whether a reset map acts on the state after each step."""
         self.reset_map = function("heli_reset_map", [reset_map])
         self.reset_map_jacobian = function("heli_reset_map_jacobian", with_derivatives(reset_map))
@@ -208,6 +212,17 @@ def _row_address(array: Floats | Integers | None, row: int = 0) -> ctypes.c_void
     return None if array is None else ctypes.c_void_p(array[row:].ctypes.data)
 
 
+def _balanced_edges(steps: Integers, parts: int) -> list[int]:
+    """Divide windows into up to `parts` parts of consecutive windows and about the same number of steps;
+    return the first window of each part, then the number of windows. Shapes: `steps` (w,).
+    """
+    windows, steps_until_end = len(steps), np.cumsum(steps)
+    ideal_steps = steps_until_end[-1] * np.arange(1, parts) / parts
+    # A part ends after the window that contains its ideal last step. Parts may be empty: equal edges are one.
+    inner = np.unique(np.searchsorted(steps_until_end, ideal_steps) + 1)
+    return [0, *(int(edge) for edge in inner if edge < windows), windows]
+
+
 @dataclass(frozen=True)
 class _NormalMatrices:
     """Normal matrices to be filled, with what their residuals need."""
@@ -266,6 +281,7 @@ class CompiledKernel(Kernel):
         """Simulate every window in C, and fill the arrays that are given. Shapes: `jacobian` (n, 3, states +
         f); returns `angles_rad` (n, 3), `end` (w, states).
         """
+        # n: rows of all windows; w: windows; f: free parameters.
         windows = len(inputs.steps)
         angles = np.empty((inputs.rows, 3))
         end = np.empty((windows, self._state_count))
@@ -309,10 +325,7 @@ class CompiledKernel(Kernel):
         if self._threads == 1 or windows < 2 or inputs.rows < _WORTH_THREADS_ROWS:
             run_windows(0, windows)
             return angles, end
-        # Each thread gets consecutive windows with about the same number of steps.
-        steps_before = inputs.rows * np.arange(1, self._threads) / self._threads
-        inner = np.minimum(np.searchsorted(np.cumsum(steps), steps_before) + 1, windows)
-        edges = [0, *(int(edge) for edge in np.unique(inner) if edge < windows), windows]
+        edges = _balanced_edges(steps, self._threads)
         parallel_map(lambda ends: run_windows(*ends), list(itertools.pairwise(edges)), self._threads)
         return angles, end
 
@@ -392,6 +405,7 @@ class InterpretedKernel(Kernel):
         value = np.array(start, float)
         sensitivity = np.zeros((len(inputs.steps), state_count, column_count))
         if derivatives:
+            # By itself, the initial state has the identity as derivatives.
             sensitivity[:, range(state_count), range(state_count)] = 1.0
         for step in range(int(inputs.steps.max())):
             # Shorter windows have ended.

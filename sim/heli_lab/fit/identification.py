@@ -178,14 +178,14 @@ def validate(fit: Fit, flights: Sequence[Flight | Record]) -> Fit:
     """
     problem, vector = fit.problem, fit.problem.parameter_vector
     per_flight_priors = {
-        parameter.quantity: parameter.prior for parameter in problem.free if parameter.record is not None
+        parameter.quantity: parameter.prior for parameter in problem.free if not parameter.is_shared
     }
     held_out = Problem(
         problem.model,
         problem.rig,
         flights,
         free=tuple(per_flight_priors),
-        per_flight=tuple(per_flight_priors) or PER_FLIGHT,
+        per_flight=tuple(per_flight_priors),
         window_s=problem.grids.window_s,
         step_s=problem.grids.step_s,
         priors=per_flight_priors,
@@ -540,23 +540,24 @@ def identify(
     """
     started_s = time.perf_counter()
     report = on_progress or (lambda _: None)
-    report(FitProgress("finding the free flight", 0.0, 0.0))
+    report(FitProgress("finding the free flight", done=0.0, cost=0.0))
     records = prepare_all(flights, rig, labels, start_s=start_s, stop_s=stop_s)
     held_out = prepare_all(validation, rig, validation_labels, "validation")
     if loop_Hz is not None:
         records, held_out = sampled(records, loop_Hz), sampled(held_out, loop_Hz)
     if any(record is other or record.label == other.label for record in records for other in held_out):
         raise IdentifyError("a flight is both fitted and validated on", "give another flight to --validate")
-    report(FitProgress("compiling the model", 0.05, 0.0))
+    report(FitProgress("compiling the model", done=0.05, cost=0.0))
     names = estimated_names(model, rig, free, fixed)
     problem = Problem(model, rig, records, free=names, window_s=window_s, threads=threads)
     fit = solve(
         problem,
         start=_start_values(problem),
         budget=Budget(max_time_s=max_fit_s - (time.perf_counter() - started_s)),
-        on_progress=lambda p: report(FitProgress(p.stage, 0.1 + 0.7 * p.done, p.cost)),
+        # The fit takes about 0.7 of the work, between preparation and free runs.
+        on_progress=lambda p: report(FitProgress(p.stage, done=0.1 + 0.7 * p.done, cost=p.cost)),
     )
-    report(FitProgress("checking", 0.85, fit.cost))
+    report(FitProgress("checking", done=0.85, cost=fit.cost))
     training_traces, training = _free_runs(fit)
     validated = validate(fit, held_out) if held_out else None
     validation_traces, validation_errors = _free_runs(validated) if validated is not None else ((), ())
@@ -565,7 +566,12 @@ def identify(
         for flight in (*training_traces, *validation_traces):
             refuse_unexplained(flight)
     return Identification(
-        fit, training, validation_errors, training_traces, validation_traces, validation_converged
+        fit,
+        training=training,
+        validation=validation_errors,
+        training_traces=training_traces,
+        validation_traces=validation_traces,
+        validation_converged=validation_converged,
     )
 
 

@@ -171,6 +171,7 @@ class InnovationsModel:
                 linearised, blocks, disturbances, blocks.drive, blocks.measured
             )
             (correction_nats,) = _repetition_correction_nats(linearised, blocks, [disturbances])
+            # A log-likelihood has minus half the log-variances.
             return innovations, log_variances - 2.0 * correction_nats
 
         filtered = iter(parallel_map(filter_window, windows))
@@ -201,11 +202,14 @@ class InnovationsModel:
         ndarray (m b, s)
             For each flight, one row per output and block, one column per signal.
         """
+        # The filter returns outputs minus their prediction. Both reduce the innovations if the drive of the
+        # prediction is negative.
         for linearised, (rates, outputs) in zip(self.linearised_flights, signals, strict=True):
             windows = []
             for blocks, drive in zip(linearised.blocks, linearised.over_blocks(rates), strict=True):
                 measured = None if outputs is None else outputs[blocks.rows]
-                windows.append(self._filter_signals(linearised, blocks, disturbances, -drive, measured)[0])
+                reductions, _ = self._filter_signals(linearised, blocks, disturbances, -drive, measured)
+                windows.append(reductions)
             yield np.concatenate(windows)
 
     def disturbance_regressors(
@@ -234,10 +238,12 @@ class InnovationsModel:
         for linearised, added in zip(self.linearised_flights, values, strict=True):
             windows = []
             for blocks in linearised.blocks:
+                # Shape (blocks, states, s): `response` has (blocks, states, inputs), `added` (steps, s).
                 drive = np.zeros((len(blocks.rows), blocks.transition.shape[1], added.shape[1]))
                 for step, response in enumerate(blocks.part_input):
-                    drive -= response[:, :, output, None] * added[blocks.rows + step][:, None, :]
-                windows.append(self._filter_signals(linearised, blocks, disturbances, drive)[0])
+                    drive -= response[:, :, output, None] * added[blocks.rows + step, None]
+                reductions, _ = self._filter_signals(linearised, blocks, disturbances, drive)
+                windows.append(reductions)
             yield np.concatenate(windows)
 
     def _filter_signals(

@@ -157,18 +157,21 @@ class LinearisedFlight:
             reference.record, reference.every, count, parameters, functions.free
         )
         inputs = acting.mean
-        t_s = np.asarray((np.arange(count) + 0.5) * h, float)
+        middle_s = np.asarray((np.arange(count) + 0.5) * h, float)
+        # A step goes from the state after a measurement to the prediction of the next one; at its middle, the
+        # model is linearised. The nodes are the states before each measurement.
         after = np.vstack((reference.predicted[1:], reference.predicted[-1:]))
         middle = 0.5 * (reference.filtered + after)
         nodes = reference.predicted
         if functions.extra_states:
-            extra = functions.integrate(Trajectory(t_s, middle, inputs, h, parameters), reference.directions)
+            trajectory = Trajectory(middle_s, middle, inputs, h, parameters)
+            extra = functions.integrate(trajectory, reference.directions)
             middle = np.hstack((middle, 0.5 * (extra[:-1] + extra[1:])))
             nodes = np.hstack((nodes, extra[:-1]))
         rows = reference.rows
         self.rows = len(rows)
-        self.trajectory = Trajectory(t_s[rows], middle[rows], inputs[rows], h, parameters)
-        self.nodes = Trajectory(t_s[rows] - 0.5 * h, nodes[rows], inputs[rows], h, parameters)
+        self.trajectory = Trajectory(middle_s[rows], middle[rows], inputs[rows], h, parameters)
+        self.nodes = Trajectory(middle_s[rows] - 0.5 * h, nodes[rows], inputs[rows], h, parameters)
         self._change: Floats = ((after - reference.filtered) / h)[rows]
         self._correction: Floats = (reference.predicted - reference.filtered)[rows]
         self._measured: Floats = reference.measured[rows]
@@ -187,10 +190,11 @@ class LinearisedFlight:
         middle, followed = self.trajectory.part(rows), self.model.followed
         at = self.functions.along(middle)
         rates, outputs, c = at.rates, at.outputs, at.outputs_by_state
+        # Column 0 of `rates` and `outputs` is the value, column 1 + i the derivative by free parameter i.
         # Parameters that change the inputs also act through them (chain rule).
         for number, derivative in self._input_derivatives:
             rates[:, :, 1 + number] -= np.einsum("nij,nj->ni", at.by_input, derivative[rows])
-        # Column 0 becomes the model's error.
+        # The value becomes the model's error.
         rates[:, :followed, 0] -= self._change[rows]
         # All measurements of a rest have the same rounding error, so that together they count as one.
         variance = self.variance[rows] * np.where(self.at_rest[rows], self.repeats[rows], 1.0)

@@ -52,6 +52,7 @@ class ModelFunctions:
         self.model, self.free, self.names = model, tuple(free), model.parameters
         self.places = [model.parameters.index(name) for name in free]
         disturbed = [model.parameters.index(name) for name in model.disturbed]
+        # Symbols: state x, inputs u, parameters p, time t.
         x, u = ca.SX.sym("x", len(model.states)), ca.SX.sym("u", len(model.inputs))
         p, t = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("t")
         rates, outputs = model.dynamics(x, u, p, t), model.measurement(x, u, p, t)

@@ -281,31 +281,34 @@ def minimise(
 ) -> Minimum[IterateT]:
     """Minimise the cost by Levenberg-Marquardt steps, until the steps are small or gain little."""
     iterate, control = start, _Damping(damping)
-    states_are_refined, idle_steps = False, 0
+    has_refined_states, idle_steps = False, 0
     for number in range(max_steps):
         on_step(number, iterate.cost)
         step = problem.step(iterate, control.value)
         if problem.is_out_of_budget():
             break
+        # A whole Gauss-Newton step of `SMALL_STEP` standard errors promises the square of it.
         if control.value == 0.0 and step.promised < SMALL_STEP**2:
-            return Minimum(iterate, True, control.value)
+            return Minimum(iterate, converged=True, damping=control.value)
         trial = step.evaluate()
         is_small = bool(np.all(np.abs(step.move) < SMALL_STEP * step.std))
+        # Rounding may raise the cost at the minimum.
         if trial.cost < iterate.cost * (1 + 1e-12):
-            gain = (iterate.cost - trial.cost) / max(trial.cost, 1e-300)
+            gain = (iterate.cost - trial.cost) / max(trial.cost, 1e-300)  # A perfect fit costs 0
             control.decrease()
-            iterate, states_are_refined = trial, False
+            iterate, has_refined_states = trial, False
             idle_steps = idle_steps + 1 if gain < idle_share * _IDLE_GAIN else 0
-            converged = gain < _CONVERGED_GAIN or (is_small and gain < _IDLE_GAIN)
-            if idle_steps == 2 or (control.value < 1.0 and converged):
-                return Minimum(iterate, True, control.value)
-        elif not states_are_refined and (better := problem.with_states_refined(iterate)) is not None:
-            iterate, states_are_refined = better, True
+            is_gain_small = gain < _CONVERGED_GAIN or (is_small and gain < _IDLE_GAIN)
+            is_lightly_damped = control.value < 1.0
+            if idle_steps == 2 or (is_lightly_damped and is_gain_small):
+                return Minimum(iterate, converged=True, damping=control.value)
+        elif not has_refined_states and (better := problem.with_states_refined(iterate)) is not None:
+            iterate, has_refined_states = better, True
         elif control.value > _MAX_DAMPING or (is_small and len(step.move)):
             # The smallest steps gain nothing, unless the model diverges at each of them.
-            return Minimum(iterate, bool(np.isfinite(trial.cost)), control.value)
+            return Minimum(iterate, converged=bool(np.isfinite(trial.cost)), damping=control.value)
         else:
             control.increase()
             # The iterate stays the same, so that refining its states again would gain nothing.
-            states_are_refined = True
-    return Minimum(iterate, False, control.value)
+            has_refined_states = True
+    return Minimum(iterate, converged=False, damping=control.value)

@@ -89,6 +89,11 @@ class FreeParameter:
     quantity: str
     record: int | None = None
 
+    @property
+    def is_shared(self) -> bool:
+        """Whether all flights share the parameter, because it belongs to the rig."""
+        return self.record is None
+
 
 class ParameterVector:
     """Free parameters of a model in some flights.
@@ -205,7 +210,7 @@ class ParameterVector:
         return {
             parameter.quantity: value
             for parameter, value in zip(self.free, theta.tolist(), strict=True)
-            if parameter.record is None
+            if parameter.is_shared
         }
 
     def started_from(self, values: Mapping[str, float]) -> Floats:

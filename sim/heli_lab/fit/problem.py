@@ -47,23 +47,23 @@ def free_parameters(
         name: prior for effect in model.effects for name, prior in effect.priors.items()
     }
     all_priors |= priors
+    names_with_tolerance = {name for name in known if name in rig and rig[name].tolerance > 0}
     if free is None:
         free = [
             name
             for name in known
-            if name in all_priors or (name in rig and rig[name].tolerance > 0 and name not in NOT_FREE)
+            if name in all_priors or (name in names_with_tolerance and name not in NOT_FREE)
         ]
     parameters = []
     for name in dict.fromkeys(free):
         if name not in known:
             raise _unknown_parameter_error(model, name)
-        if name not in all_priors and (name not in rig or rig[name].tolerance == 0):
+        if name not in all_priors and name not in names_with_tolerance:
             raise IdentifyError(
                 f"parameter '{name}' has no prior", "give it a tolerance in the rig file, or fix it"
             )
-        parameters.append(
-            FreeParameter(name, known[name].unit, all_priors.get(name) or rig_prior(rig, name), name)
-        )
+        prior = all_priors.get(name) or rig_prior(rig, name)
+        parameters.append(FreeParameter(name, known[name].unit, prior, quantity=name))
     return tuple(parameters)
 
 
@@ -506,10 +506,11 @@ def _effect_states_after_run_in(
     if len(simulated):
         first_rows = rows[simulated] - lengths[simulated]
         windows = list(zip(first_rows.tolist(), lengths[simulated].tolist(), strict=True))
-        grid = make_grid(record, windows, 1, delay=delay_of(problem.model, parameters))
+        grid = make_grid(record, windows, every=1, delay=delay_of(problem.model, parameters))
         start = states[simulated].copy()
         start[:, RIGID_STATES:] = 0.0
-        in_segment = first_rows >= _segment_of_rows(record, rows[simulated])[:, 0]
+        segment_first_rows, _ = _segment_of_rows(record, rows[simulated]).T
+        in_segment = first_rows >= segment_first_rows
         start[in_segment, :RIGID_STATES] = _angles_and_rates_by_parabola(
             record, first_rows[in_segment], STATE_FIT_S
         )

@@ -79,7 +79,7 @@ def refuse_constant_columns(flight: Flight, label: str, count_rad: Floats) -> No
         column = getattr(flight, name)
         if not np.any(column):
             reason, remedy = "0", "log the voltages that act on the motors"
-        elif float(np.ptp(column)) < 1e-9:
+        elif float(np.ptp(column)) < 1e-9:  # Rounding of a converted number
             reason, remedy = f"{column[0]:g}", "fly with voltages that change"
         else:
             continue
@@ -274,7 +274,7 @@ def prepare(
     refuse_constant_columns(flight, label, count_rad)
     refuse_duty_cycles(flight, label, rig)
     exclusions, stop_notes = _exclusions(flight, rig, step_s, start_s, stop_s)
-    min_rows = max(2, round(thresholds.MIN_SEGMENT_S / step_s))
+    min_rows = max(2, round(thresholds.MIN_SEGMENT_S / step_s))  # One row has no step
     segments, cuts = _segments_and_cuts(exclusions, flight, min_rows)
     refuse_jumps(flight, label, segments)
     if not segments:

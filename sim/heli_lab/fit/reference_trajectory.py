@@ -146,6 +146,7 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
     kinematics : KinematicModel
         Size and correlation time of the accelerations.
     """
+    # Rows per step; the small number corrects the rounding of a whole quotient.
     every = max(1, int(STEP_s / record.step_s + 1e-6))
     step_s = record.step_s * every
     # First row of each step.
@@ -162,7 +163,7 @@ def kinematic_filter(record: Recording, kinematics: KinematicModel) -> Reference
     windows = []
     for first_row, stop_row in record.segments:
         first_step, stop_step = math.ceil(first_row / every), stop_row // every
-        if stop_step - first_step > 1:
+        if stop_step - first_step > 1:  # A single step shows no motion
             windows.append(slice(first_step, stop_step))
     at_rest = _at_rest(record, rows)
     in_play = _positions_in_play(record, rows)
@@ -224,19 +225,20 @@ def _positions_in_play(record: Recording, nodes: Integers) -> _PositionsInPlay:
         # Before the first move and after the last one, the axis is anywhere in its play: direction 0.
         moves = np.concatenate(([-1], change_rows, [len(changed)]))
         signs = np.concatenate(([0.0], np.sign(np.diff(record.outputs[:, axis])[change_rows]), [0.0]))
-        # Indices in `moves` of the next and of the last move, at each node.
+        # Indices in `moves` of the move after each node, and of the move before it. A move in row k is the
+        # change from row k to the next, at k + 0.5.
         following = np.searchsorted(moves + 0.5, nodes)
-        last = following - 1
-        pause_rows = moves[following] - moves[last]
+        preceding = following - 1
+        pause_rows = moves[following] - moves[preceding]
         # Share of the pause that has passed, 0 to 1.
-        share = (nodes - moves[last] - 0.5) / pause_rows
-        # Change of the direction from the last move to the next; 0 if the axis goes on as before.
-        reversal = signs[following] - signs[last]
+        share = (nodes - moves[preceding] - 0.5) / pause_rows
+        # Change of the direction from move to move; 0 if the axis goes on as before.
+        reversal = signs[following] - signs[preceding]
         # The axis moves slowly into the play and fast back: s^2 (1 - s) is at most 1 / 6.75.
         excursion = _RETURN_SHARE * 6.75 * share**2 * (1.0 - share)
-        returns = (reversal == 0.0) & (pause_rows * record.step_s >= RETURN_s)
+        has_returned = (reversal == 0.0) & (pause_rows * record.step_s >= RETURN_s)
         directions[:, axis] = (
-            signs[last] + reversal * share**2 - np.where(returns, signs[last] * excursion, 0.0)
+            signs[preceding] + reversal * share**2 - np.where(has_returned, signs[preceding] * excursion, 0.0)
         )
         pause_s[:, axis] = pause_rows * record.step_s
     return _PositionsInPlay(directions, variance=(1.0 - directions**2) / 3.0, pause_s=pause_s)
@@ -276,7 +278,8 @@ def _filter_kinematics(
     transition = np.block([[identity, step_s * identity], [zero, identity]])
     acceleration_input = np.vstack((0.5 * step_s**2 * identity, step_s * identity))
     measurement = np.hstack((identity, zero))
-    relative = measured - measured[0]
+    relative = measured - measured[0]  # The filter starts at 0
+    no_drive = np.zeros((step_count, 2 * output_count, 1))
     before, after = _kalman.track(
         np.broadcast_to(transition, (step_count, *transition.shape)).copy(),
         np.broadcast_to(acceleration_input, (1, step_count, *acceleration_input.shape)).copy(),
@@ -285,8 +288,9 @@ def _filter_kinematics(
         np.full(output_count, np.exp(-step_s / kinematics.correlation_time_s)),
         np.full(output_count, kinematics.acceleration_std**2),
         np.repeat([kinematics.position_std**2, kinematics.rate_std**2], output_count),
-        np.zeros((step_count, 2 * output_count, 1)),
+        no_drive,
         relative[:, :, None].copy(),
     )
     start = np.hstack((measured[0], np.zeros(output_count)))
+    # The columns after positions and rates are the accelerations.
     return before[:, : 2 * output_count] + start, after[:, : 2 * output_count] + start

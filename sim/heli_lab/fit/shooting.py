@@ -684,6 +684,7 @@ def _collect_fit(shooting: MultipleShooting, iterate: Iterate, converged: bool, 
     information = eliminate_states(cost, iterate).information
     prior_information = np.diag(1.0 / problem.parameter_vector.std**2)
     covariance: Floats = np.linalg.inv(information + prior_information).astype(np.float64)
+    # On the coarse grid, the fit is only a start for another one.
     if scatter and cost.fine and len(problem.free):
         scattered = quantisation_scatter(
             problem, iterate.theta, iterate.states, cost.variance, cost.weights, covariance

@@ -74,7 +74,8 @@ def quantisation_scatter(
         counts = angles_rad / record.count_rad
         phases = random.uniform(0.0, 1.0, (DITHER_PHASES, 1, 3))
         for window, steps in enumerate(grid.slices):
-            # Quantisation errors in their standard deviations, shape (phases, steps, 3).
+            # Quantisation errors in their standard deviations, 1 / sqrt(12) of a count; shape (phases, steps,
+            # 3).
             shifted = counts[None, steps] + phases
             errors = (np.round(shifted) - shifted) * math.sqrt(12.0)
             scale = np.sqrt(weights[index][window] / variance[index])[:, None]
@@ -143,7 +144,7 @@ def combinations(names: Sequence[str], information: Floats, prior_std: Floats) -
     result = []
     for flight_information, direction in zip(np.maximum(informations, 0.0), directions.T, strict=True):
         if flight_information >= 1.0:
-            break
+            break  # eigenvalues ascend: the flights determine this and all further directions better
         std_over_prior = 1.0 / math.sqrt(1.0 + flight_information)
         size = np.abs(direction)
         order = [i for i in np.argsort(-size) if size[i] >= COMBINATION_WEIGHT * size.max()]

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from heli_host.data.arrays import Floats, Integers
@@ -103,8 +103,8 @@ def make_grid(
     delay: VoltageDelay | None = None,
     dead_zone_V: float | None = None,
 ) -> Grid:
-    """Divide windows of a flight into steps, and average the voltages over each step. A window is given by
-    its first row and its number of rows.
+    """Divide windows of a flight into steps of `every` rows, and average the voltages over each step. A
+    window is given by its first row and its number of rows.
     """
     rows = np.concatenate([np.arange(first, first + count, every) for first, count in windows]).astype(
         np.int64
@@ -112,8 +112,9 @@ def make_grid(
     step_s = record.step_s * every
     volts_V, delay_s = record.voltages_V, 0.0 if delay is None else delay.value_s
     derivatives: list[VoltageDerivative] = []
-    averages_voltages = every > 1 or record.advance_rows > 0.0
-    if dead_zone_V is not None and averages_voltages:
+    # Without averages, the model itself applies the dead zone to each voltage.
+    is_averaged = every > 1 or record.advance_rows > 0.0
+    if dead_zone_V is not None and is_averaged:
         # A raised voltage is the dead zone itself, so that its derivative to the dead zone is 1.
         raised_share = record.over_rows((volts_V < dead_zone_V).astype(float))
         volts_V = np.maximum(volts_V, dead_zone_V)
@@ -196,6 +197,10 @@ class WindowGrids:
         return max(1, int(self.step_s / record.step_s + 1e-6))
 
 
+_ROUNDING_ROWS: Final = 1e-9
+"""Rounding of a time in rows: the beginning of a row must not fall into the row before it."""
+
+
 def _mean_and_change(
     volts: Floats, row_s: float, rows: Integers, every: int, delay_s: float
 ) -> tuple[Floats, Floats]:
@@ -217,9 +222,9 @@ def _mean_and_change(
 
     def integrals_at(t_s: Floats) -> tuple[Floats, Floats]:
         """First and second integral of the voltages at times since the first row, shape (m, 2) each."""
-        time_in_rows = np.clip(t_s / row_s, None, len(volts) - 1e-9)
+        time_in_rows = np.clip(t_s / row_s, None, len(volts) - _ROUNDING_ROWS)
         # Before the first row, its voltage is assumed to have acted.
-        row = np.clip(np.floor(time_in_rows + 1e-9).astype(int), 0, len(volts) - 1)
+        row = np.clip(np.floor(time_in_rows + _ROUNDING_ROWS).astype(int), 0, len(volts) - 1)
         within_row_s = (time_in_rows - row)[:, None] * row_s
         return (
             first_integral[row] + volts[row] * within_row_s,

@@ -27,7 +27,6 @@ from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.fit.records import Record, prepare
 from heli_lab.fit.reference_trajectory import ReferenceTrajectory
 from heli_lab.fit.voltage_timing import may_be_slower, sampled, slow_log_notes, with_acting_voltages
-from heli_lab.watch.twin_model import TwinModel
 
 DETECTABLE_WITHIN_s: Final = 0.5
 """Time within which a gust must move an axis by the rounding of its encoder to be detectable, s. It equals
@@ -49,19 +48,22 @@ class FixedRigEstimate(NamedTuple):
 
 def estimate_with_fixed_rig(model: Model, rig: Rig, records: Sequence[Record]) -> FixedRigEstimate:
     """Estimate the disturbances and the constants of each flight."""
-    twin_model = TwinModel(model, rig, changes=()).model
+    # Effects with random inputs are left out: the estimated disturbances take their place.
+    deterministic = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
     references = [filter_record(record) for record in records]
-    all_parameters = RigParameters(twin_model, rig, records)
-    names = twin_model.parameter_names
-    rig_values = dict(zip(names, twin_model.parameter_values(rig), strict=True))
-    shared = [parameter.quantity for parameter in all_parameters.free if parameter.record is None]
-    fixed = {name: float(rig_values[name]) for name in shared}
-    flight_constants = RigParameters(twin_model, rig, records, fixed)
-    functions = model_functions(twin_model, flight_constants.quantities)
+    all_parameters = RigParameters(deterministic, rig, records)
+    names = deterministic.parameter_names
+    rig_values = dict(zip(names, deterministic.parameter_values(rig), strict=True))
+    shared_names = [parameter.quantity for parameter in all_parameters.free if parameter.is_shared]
+    fixed = {name: float(rig_values[name]) for name in shared_names}
+    flight_constants = RigParameters(deterministic, rig, records, fixed)
+    functions = model_functions(deterministic, flight_constants.quantities)
     constants = estimate(flight_constants, references, functions, flight_constants.start)
     count_rad = np.min([record.count_rad for record in records], axis=0)
-    disturbances = at_least_rounding(constants.disturbances, twin_model, rig, count_rad)
-    return FixedRigEstimate(twin_model, records, references, all_parameters, fixed, constants, disturbances)
+    disturbances = at_least_rounding(constants.disturbances, deterministic, rig, count_rad)
+    return FixedRigEstimate(
+        deterministic, records, references, all_parameters, fixed, constants, disturbances
+    )
 
 
 def learn_disturbances(model: Model, rig: Rig, flight: Flight, label: str) -> DisturbanceModel:
@@ -80,11 +82,14 @@ def at_least_rounding(
     torques = [names.index(f"torque_{axis}") for axis in AXES]
     # The inertias of the level arm at rest depend on no voltage, so a rig that cannot hover has them too.
     level = np.zeros(len(model_without_effects.states))
-    by_torque = derivatives(model_without_effects, rig, level, np.zeros(2)).P[3:6, torques]
+    accelerations = slice(3, 6)  # The states are three angles, then their rates
+    by_torque = derivatives(model_without_effects, rig, level, np.zeros(2)).P[accelerations, torques]
     rounding_rad = count_rad / 12.0**0.5
     # A constant torque moves an axis at rest by acceleration * t^2 / 2.
     min_Nm = 2.0 * rounding_rad / (np.abs(np.diagonal(by_torque)) * DETECTABLE_WITHIN_s**2)
-    # A shorter gust moves an axis less: by the square root of the number of impulses that add up.
+    # A shorter gust moves an axis less. Gusts of the variance s^2 and the correlation time T act as white
+    # noise of the intensity 2 s^2 T, and move the axis with the variance 2 s^2 T t^3 / 3 instead of
+    # s^2 t^4 / 4.
     averaging_factor = np.minimum(
         np.sqrt(8.0 * disturbances.correlation_time_s / (3.0 * DETECTABLE_WITHIN_s)), 1.0
     )

@@ -623,7 +623,7 @@ def figure_of_equation(proposed: ProposedTerm) -> Figure:
     for panel in (time_panel, scatter_panel, quantity_panel):
         panel.grid(alpha=0.25)
     flight_text = (
-        "a flight that no fit used" if proposed.discovery.held_out is not None else "the fitted flight"
+        "a flight that no fit used" if proposed.discovery.held_out_nats is not None else "the fitted flight"
     )
     figure.suptitle(f"${latex(proposed.equation, proposed.numbers)}$   on {flight_text}", fontsize=11)
     return figure

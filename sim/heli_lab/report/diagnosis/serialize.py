@@ -119,7 +119,7 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
     std = estimate.covariance.diagonal() ** 0.5
     rig = result.rig("extended")
     per_flight_names = {
-        parameter.quantity for parameter in estimate.parameter_vector.free if parameter.record is not None
+        parameter.quantity for parameter in estimate.parameter_vector.free if not parameter.is_shared
     }
     return {
         "name": estimate.parameter_vector.rig.name,
@@ -134,7 +134,7 @@ def rig_numbers(result: Diagnosis) -> dict[str, Any]:
             for parameter, value, error in zip(
                 estimate.parameter_vector.free, estimate.theta, std, strict=True
             )
-            if parameter.record is None
+            if parameter.is_shared
         },
         "constants": {
             # A tolerance in a rig file is two standard deviations.
@@ -162,9 +162,9 @@ def proposal_json(proposal: Proposal) -> dict[str, Any]:
         "confidence": round(term.confidence, 3),
         "sentence": term.sentence,
         "evidence": {
-            "log_likelihood_ratio_train": discovery.train,
-            "log_likelihood_ratio_held_out": discovery.held_out,
-            "log_likelihood_ratio_of_curves": discovery.curve,
+            "log_likelihood_ratio_train": discovery.train_nats,
+            "log_likelihood_ratio_held_out": discovery.held_out_nats,
+            "log_likelihood_ratio_of_curves": discovery.curve_nats,
             "penalty": discovery.penalty,
             "terms_tried": discovery.tried,
         },

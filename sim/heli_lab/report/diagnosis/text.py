@@ -118,8 +118,8 @@ def _effect_causes(result: Diagnosis) -> list[CauseEntry]:
             sentence=cause.sentence,
             equation=cause.equation,
             evidence={
-                "log_likelihood_ratio_train": cause.train,
-                "log_likelihood_ratio_held_out": cause.held_out,
+                "log_likelihood_ratio_train": cause.train_nats,
+                "log_likelihood_ratio_held_out": cause.held_out_nats,
                 "penalty": cause.penalty,
                 "alternatives": {other.id: other.log_likelihood_ratio for other in cause.alternatives},
             },
@@ -141,7 +141,7 @@ def too_small_effects(result: Diagnosis) -> list[dict[str, Any]]:
             "parameters": _parameter_entries(effect.cause.parameters),
             "sentence": effect.cause.sentence,
             "change_counts": effect.change_counts,
-            "log_likelihood_ratio": effect.cause.train,
+            "log_likelihood_ratio": effect.cause.train_nats,
         }
         for effect in result.verdict.negligible_effects
     ]
@@ -248,7 +248,7 @@ def unexplained(result: Diagnosis) -> dict[str, Any] | None:
         "channel": channel,
         "correlates_with": [f"{channel} on {quantity}", *others],
         "share_of_variance": round(max(0.0, 1.0 - reductions[axis].ratio ** 2), 4),
-        "log_likelihood_gain": strongest.train,
+        "log_likelihood_gain": strongest.train_nats,
         "splines": [cause.candidate.id.removeprefix("spline:") for cause in result.verdict.unlisted],
         "gain_with_splines": reductions_json(reductions),
     }
@@ -701,10 +701,10 @@ def proposal_lines(proposal: Proposal) -> list[str]:
 
 def equation_evidence(discovery: Discovery) -> str:
     """State the evidence for the equation of a `discovery` on the fitted and on the held-out flights."""
-    fitted_text = f"{evidence_in_words(discovery.train)} on the fitted flights"
-    if discovery.held_out is None:
+    fitted_text = f"{evidence_in_words(discovery.train_nats)} on the fitted flights"
+    if discovery.held_out_nats is None:
         return f"{fitted_text}, no other flight confirms it"
-    return f"{fitted_text}, {evidence_in_words(discovery.held_out)} on held-out flights"
+    return f"{fitted_text}, {evidence_in_words(discovery.held_out_nats)} on held-out flights"
 
 
 def _error_reduction_text(reductions: Mapping[str, ErrorReduction]) -> list[str]:
