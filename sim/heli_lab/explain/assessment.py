@@ -162,8 +162,7 @@ def influences(
     evidence_nats = {cause.effect: cause.train_nats for cause in search.causes}
     for candidate in extended.candidates:
         other_causes = [other for other in extended.candidates if other is not candidate]
-        has_much_evidence = evidence_nats[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows
-        if other_causes and has_much_evidence:
+        if other_causes and evidence_nats[candidate.id] > MATTERS_NATS_PER_ROW * comparison.rows:
             continue  # saves free runs; a single cause needs none, because `before` has them
         # The elimination has estimated this model: it is in the cache.
         reduced = (

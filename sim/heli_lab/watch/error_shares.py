@@ -146,18 +146,21 @@ def error_shares(
     if result.has_other_flight and result.label == "unexplained":
         of_fitted = forecast_flights(forecast.model_of(extended_rig), extended_rig, fitted())
         ranges = [_range_of_large_errors(of_fitted, with_causes, axis) for axis in range(len(AXES))]
-    any_curve_confirmed = bool(unknown.is_curve_confirmed.any())
+    is_any_curve_confirmed = bool(unknown.is_curve_confirmed.any())
     return ErrorShares(
-        tuple(flight.label for flight in with_causes),
-        result.has_other_flight,
-        {
+        labels=tuple(flight.label for flight in with_causes),
+        has_other_flight=result.has_other_flight,
+        axes={
             axis: AxisShares(
-                errors.reduction[axis].before_deg, errors.with_causes[axis], float(unknown_deg2), range_
+                before_deg=errors.reduction[axis].before_deg,
+                after_deg=errors.with_causes[axis],
+                unknown_deg2=float(unknown_deg2),
+                larger_where=range_,
             )
             for axis, unknown_deg2, range_ in zip(AXES, unknown.square_deg2, ranges, strict=True)
         },
-        curves=_curve_names(result) if any_curve_confirmed else (),
-        unresolved=() if any_curve_confirmed else _unresolved(result),
+        curves=_curve_names(result) if is_any_curve_confirmed else (),
+        unresolved=() if is_any_curve_confirmed else _unresolved(result),
     )
 
 

@@ -116,12 +116,12 @@ class GlitchWatch(Generic[F]):
         std_rad = float(kalman.stds_rad[kalman.left_out])
         # The mean within a block may contain only a part of the jump, so the second difference counts too.
         jump_rad = max([*self._differences_rad, size_rad][:2])
-        fall_rad = max(self._differences_rad[-2:], default=size_rad) - size_rad
-        if size_rad < 0.5 * jump_rad < fall_rad:
+        fall_in_two_blocks_rad = max(self._differences_rad[-2:], default=size_rad) - size_rad
+        if size_rad < 0.5 * jump_rad and fall_in_two_blocks_rad > 0.5 * jump_rad:
             return True
-        axis_moves_away = size_rad > _MAX_GROWTH * jump_rad
+        is_moving_away = size_rad > _MAX_GROWTH * jump_rad
         is_decidable = jump_rad > _DECIDABLE_STD * std_rad
-        if self._budget < 1.0 or axis_moves_away or not is_decidable:
+        if self._budget < 1.0 or is_moving_away or not is_decidable:
             self.alternative, self._settled_blocks = None, 0
             return False
         self._budget -= 1.0

@@ -167,10 +167,10 @@ def learn(
         histories += drawn_evidence(twin, disturbances, flight, draws)
     return Calibration(
         disturbances,
-        fit_tail(histories, healthy_s),
-        ", ".join(labels),
-        uncertainty,
-        piece_variance(np.vstack(innovations)),
+        tail=fit_tail(histories, healthy_s),
+        source=", ".join(labels),
+        uncertainty=uncertainty,
+        piece_variance=piece_variance(np.vstack(innovations)),
     )
 
 
@@ -339,7 +339,7 @@ class _DrawnEvidence:
             persistent_nats = np.min(self._latest_nats, axis=0)
             for history, nats in zip(self._histories, persistent_nats, strict=True):
                 history.append((t_s, float(nats)))
-        return -math.inf
+        return -math.inf  # no evidence for the twin, which must not raise an alarm
 
 
 _TORQUE_SHARE: Final = 0.5

@@ -104,6 +104,7 @@ class LikelihoodRatio:
     """
 
     def __init__(self, changes: Sequence[Change], count_rad: Floats, draws: int | None = None) -> None:
+        # `draws`: Number of innovations per measurement, each with sums of its own; None for one.
         self.changes = tuple(changes)
         # Properties of each change. A change has one or two parameters, each with a column of sensitivities.
         min_sizes_rad = {
@@ -263,6 +264,7 @@ class LikelihoodRatio:
         # prior probability. Size and onset are those of the most likely onset. The last draw counts. The
         # priors are those of changes in flight, or of differences with which a flight begins (`from_start`).
         estimates = self._estimates(self._precision_from_start if from_start else self._precision)
+        # The shape is (changes, onsets), or has draws in front: the reshape adds them.
         size = estimates.size.reshape(-1, *self._onset.shape)[-1]
         evidence = self._evidence_of_onsets(estimates).reshape(-1, *self._onset.shape)[-1]
         best_places = np.argmax(evidence, axis=1)

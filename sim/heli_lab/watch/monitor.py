@@ -164,6 +164,7 @@ def _monitor_samples(
     span_s: tuple[float | None, float | None],
 ) -> TwinReport:
     """Compare the samples between two times with the twin; `span_s` has the times, None without a limit."""
+    # `zero_s`: Time on the clock of the samples at which the time of the flight is 0.
     from_s, to_s = span_s
     start_s = -math.inf if from_s is None else from_s
     stop_s = math.inf if to_s is None else to_s
@@ -179,11 +180,18 @@ def _monitor_samples(
     twin = Twin(model, twin_rig.calibration, count_rad, sample_s, false_alarm_interval_h, zero_s=zero_s)
     twin.records_evidence = True
     events = twin.update(chosen_samples) + twin.finish()
-    free_s = len(twin.evidence_history) * twin.block_s
-    unjudged_s = twin.unjudged_blocks * twin.block_s
     return TwinReport(
-        label, tuple(events), tuple(twin.evidence_history), twin.threshold_nats, free_s, unjudged_s
+        label,
+        tuple(events),
+        evidence_nats=tuple(twin.evidence_history),
+        threshold_nats=twin.threshold_nats,
+        free_s=len(twin.evidence_history) * twin.block_s,
+        unjudged_s=twin.unjudged_blocks * twin.block_s,  # A part of `free_s`
     )
+
+
+_TITLE_LENGTH: Final = 140
+"""Letters that fit above a panel."""
 
 
 def draw_evidence(flights: Sequence[TwinReport], path: Path) -> None:
@@ -208,7 +216,7 @@ def draw_evidence(flights: Sequence[TwinReport], path: Path) -> None:
             if event.kind == "alarm":
                 ax.axvline(event.t_s, color="#990000", lw=1.0)
         text = "; ".join(flight.sentences())
-        ax.set_title(f"{flight.label}: {text}"[:140], fontsize=8, loc="left")
+        ax.set_title(f"{flight.label}: {text}"[:_TITLE_LENGTH], fontsize=8, loc="left")
         ax.set_ylabel("evidence, nats")
         ax.legend(loc="upper left", fontsize=7)
     axes[-1].set_xlabel("time, s")

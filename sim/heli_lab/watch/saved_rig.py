@@ -96,6 +96,7 @@ def saved_rig(
     ids = [cause.effect for cause in result.verdict.causes] if with_unconfirmed else result.confirmed_ids
 
     def rig_with(causes: Sequence[str]) -> Rig:
+        """Return the rig with some of the causes; with all of them, it needs no new estimate."""
         if list(causes) == ids:
             return result.rig(name, with_unconfirmed=with_unconfirmed)
         return result.rig(name, with_unconfirmed=False, only=causes)

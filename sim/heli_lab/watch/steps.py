@@ -143,6 +143,8 @@ class Stepper:
         """Yield the complete steps, and discard samples that no later step needs."""
         step_rows, half_step = self.samples_per_step, self.samples_per_step // 2
         pending = self._pending
+        # `start` is the place among the pending samples at which a step begins; steps begin at multiples of
+        # `step_rows`, and `_first` is the number of the first pending sample.
         start = -self._first % step_rows
         while start + step_rows <= len(pending):
             # The mean is symmetric about the beginning of the step.
@@ -175,8 +177,11 @@ _MAX_TIME_ERROR_STEPS: Final = 0.3
 
 
 def samples_of(flight: Flight) -> tuple[Samples, float]:
-    """Convert the rows of a flight to samples that are numbered on an even grid."""
+    """Convert the rows of a flight to samples that are numbered on an even grid. Returns `samples`, and the
+    time between two numbers, `sample_s` [s].
+    """
     t_s, step_s = flight.t_s, flight.step_s
+    # Times in a table may be rounded to 0.01 ms.
     if abs(step_s - TICK_S) < 1e-5:
         # The rows are ticks of the board.
         sample_s = TICK_S
@@ -193,11 +198,12 @@ def samples_of(flight: Flight) -> tuple[Samples, float]:
         )
     flying, landing = np.ones(len(flight), bool), np.zeros(len(flight), bool)
     if flight.state is not None and flight.state_names:
-        off_states = [number for number, name in flight.state_names.items() if name in ON_GROUND]
+        off_states = [state for state, name in flight.state_names.items() if name in ON_GROUND]
         flying = ~np.isin(flight.state, off_states)
-        landing_states = [number for number, name in flight.state_names.items() if name in _LANDING_NAMES]
+        landing_states = [state for state, name in flight.state_names.items() if name in _LANDING_NAMES]
         landing = np.isin(flight.state, landing_states)
-    return Samples(number, flight.angles_rad, flight.voltages_V, flying, landing), sample_s
+    samples = Samples(number, flight.angles_rad, flight.voltages_V, flying=flying, landing=landing)
+    return samples, sample_s
 
 
 def samples_of_log(log: Log) -> tuple[Samples, float]:

@@ -370,15 +370,15 @@ class Twin:
         # An early alarm decides with its final ranking.
         if not is_due or not can_raise_alarms or self.contradicts or comparison.has_open_alarm:
             return
-        fit = comparison.model_check.fit(self.calibration.piece_variance)
-        if reason := comparison.model_check.contradiction(fit):
+        model_fit = comparison.model_check.compared_with(self.calibration.piece_variance)
+        if reason := comparison.model_check.contradiction(model_fit):
             yield self._contradict(comparison, t_s, f"{_NOT_THIS_MODEL}: {_IN_FIRST_SECONDS}{reason}")
-        elif fit.is_decided:
+        elif model_fit.is_decided:
             yield TwinEvent(
                 "fits",
                 t_s,
-                f"the model fits: {_IN_FIRST_SECONDS}its errors over 1 s are at most {fit.ratio:.1f} times "
-                f"as large as expected (chance: up to {fit.chance_ratio:.1f})",
+                f"the model fits: {_IN_FIRST_SECONDS}its errors over 1 s are at most {model_fit.ratio:.1f} "
+                f"times as large as expected (chance: up to {model_fit.chance_ratio:.1f})",
             )
 
     def _contradict(self, comparison: _Comparison, t_s: float, reason: str) -> TwinEvent:
@@ -503,7 +503,8 @@ class _Comparison:
             # The evidence stays unchanged while an encoder may still return from a jump.
             if self.glitches.alternative is None:
                 self.evidence_nats = nats
-        self._angles.remember(self.block, self.kalman.state[:3])
+        angles_rad = self.kalman.state[:3]
+        self._angles.remember(self.block, angles_rad)
         if watches:
             self.glitches.begin_jump(self.kalman, before)
         second = self.glitches.alternative
@@ -561,12 +562,13 @@ class _ModelCheck:
         """Add an `innovation`, (3,), in standard deviations."""
         self._innovations.append(innovation)
 
-    def fit(self, expected: PieceVariance) -> ModelFit:
+    def compared_with(self, expected: PieceVariance) -> ModelFit:
         """Compare the sums of the innovations over 1 s with those for which the threshold was set."""
         return compare_with(expected, piece_variance(np.array(self._innovations).reshape(-1, 3)))
 
-    def contradiction(self, fit: ModelFit) -> str:
+    def contradiction(self, model_fit: ModelFit) -> str:
         """Describe the axis whose innovations are too large; empty if none are, or none were added."""
+        # `model_fit`: The result of `compared_with`.
         if not self._innovations:
             return ""
         mean_square = np.mean(np.square(self._innovations), axis=0)
@@ -574,11 +576,12 @@ class _ModelCheck:
         if mean_square[worst_axis] > _MAX_MEAN_SQUARE:
             rms = mean_square[worst_axis] ** 0.5
             return f"{AXES[worst_axis]} differs from its predictions by {rms:.1f} times the stated deviation"
-        if fit.fits:
+        if model_fit.fits:
             return ""
         return (
-            f"the errors about {fit.axis} over 1 s are {fit.ratio:.1f} times as large as expected (chance: "
-            f"up to {fit.chance_ratio:.1f}), so the accepted rate of false alarms does not hold"
+            f"the errors about {model_fit.axis} over 1 s are {model_fit.ratio:.1f} times as large as "
+            f"expected (chance: up to {model_fit.chance_ratio:.1f}), so the accepted rate of false alarms "
+            "does not hold"
         )
 
 

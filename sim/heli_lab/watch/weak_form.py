@@ -99,15 +99,17 @@ def _gap_free_parts(flight: Flight, rows: Booleans, min_V: float) -> list[Part]:
     if not step_s > 0.0:
         return []
     rows_per_point = max(1, round(GRID_s / step_s))
-    usable = rows & np.isfinite(flight.angles_rad).all(axis=1) & np.isfinite(flight.voltages_V).all(axis=1)
-    is_start = np.ones(len(usable), bool)
-    is_start[1:] = (np.diff(flight.t_s) > 1.5 * step_s) | (usable[1:] != usable[:-1])
+    grid_s = rows_per_point * step_s
+    is_usable = rows & np.isfinite(flight.angles_rad).all(axis=1) & np.isfinite(flight.voltages_V).all(axis=1)
+    # A part begins at each gap, and where usable rows begin or end.
+    is_start = np.ones(len(is_usable), bool)
+    is_start[1:] = (np.diff(flight.t_s) > 1.5 * step_s) | (is_usable[1:] != is_usable[:-1])
     starts = np.flatnonzero(is_start)
     parts = []
-    for start, stop in zip(starts, [*starts[1:], len(usable)], strict=True):
+    for start, stop in zip(starts, [*starts[1:], len(is_usable)], strict=True):
         count = (stop - start) // rows_per_point
-        grid_s = rows_per_point * step_s
-        if not usable[start] or count * rows_per_point * step_s < max(_WIDTHS_s):
+        is_long = count * rows_per_point * step_s >= max(_WIDTHS_s)
+        if not is_usable[start] or not is_long:
             continue
         part_rows = slice(start, start + count * rows_per_point)
         angles = flight.angles_rad[part_rows].reshape(count, rows_per_point, 3).mean(axis=1)
@@ -319,7 +321,7 @@ class FlightInWeakForm:
     def _true_accelerations(self, part: Part, unknowns: Floats) -> _Accelerations:
         """Compute the true accelerations by the equations of motion at every row of a part."""
         scales = np.exp(unknowns[LOG_SCALES])
-        zeros_rad = np.array([*unknowns[_ZEROS], 0.0])
+        zeros_rad = np.array([*unknowns[_ZEROS], 0.0])  # Nothing depends on the zero of travel
         parameters = self._parameters.copy()
         parameters[self._places] = unknowns[_PARAMETERS]
         # True angles, relative to those at which the encoders were zeroed, and true rates.
@@ -330,16 +332,17 @@ class FlightInWeakForm:
         trajectory = Trajectory(part.t_s, states, voltages.values, part.step_s, parameters)
         at = self._functions.along(trajectory)
         # The states are three angles and three rates; the derivative of a rate is an acceleration.
-        rows, angle_columns, rate_columns = slice(3, 6), slice(0, 3), slice(3, 6)
-        by_angles, by_rates = at.by_state[:, rows, angle_columns], at.by_state[:, rows, rate_columns]
+        angle_states, rate_states = slice(0, 3), slice(3, 6)
+        by_angles = at.by_state[:, rate_states, angle_states]
+        by_rates = at.by_state[:, rate_states, rate_states]
         by_scales = -by_angles * deflections[:, None] - by_rates * rates[:, None]
         # Products of (n, 3, 2) by (n, 2, 2): by the factor on the voltages, and by the lag.
-        by_factor_and_lag = at.by_input[:, rows] @ voltages.derivatives
+        by_factor_and_lag = at.by_input[:, rate_states] @ voltages.derivatives
         by_zeros = -by_angles[:, :, :2] / scales[:2]
-        # The functions give negative derivatives by the parameters.
-        by_parameters = -at.rates[:, rows, 1:]
+        # Column 0 has the accelerations, the others their negative derivatives by the parameters.
+        accelerations, by_parameters = at.rates[:, rate_states, 0], -at.rates[:, rate_states, 1:]
         derivatives = np.concatenate((by_scales, by_factor_and_lag, by_zeros, by_parameters), axis=2)
-        return _Accelerations(at.rates[:, rows, 0], derivatives)
+        return _Accelerations(accelerations, derivatives)
 
     def _acting_voltages(self, part: Part, log_factor: float, lag_s: float) -> _ActingVoltages:
         """Return the lagged voltages times the unknown factor; below the dead zone, those of its edge act."""
