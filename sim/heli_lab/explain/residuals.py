@@ -27,6 +27,7 @@ from heli_sim.model.effect import AXES
 from heli_lab.explain import thresholds
 from heli_lab.explain.candidates import (
     Candidate,
+    Regressors,
     ScoredCandidate,
     channel_kind,
     channel_place,
@@ -213,13 +214,13 @@ _RIDGE: Final = 1e-9
 class _SquareSums(NamedTuple):
     """Sums of the squares of each output in some rows."""
 
-    squares: Floats  # (m,)
+    squares: Floats  # (m, k)
     rows: int
 
 
 def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> _SquareSums:
-    """Sum up the squares of the change of the outputs by additional rates, shape (n, states), in all windows
-    of a flight. Initial states and constant torques are refitted to the change.
+    """Sum up the squares of the change of the outputs by each of k additional rates, shape (n, states, k), in
+    all windows of a flight. Initial states and constant torques are refitted to each change.
     """
     length = max(1, round(_WINDOW_s / linear.reference.step_s))
     starts = np.array(
@@ -227,7 +228,7 @@ def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> _SquareSums:
     )
     outputs = len(linear.model.outputs)
     if not starts.size:  # all parts of the flight are shorter than a window
-        return _SquareSums(np.zeros(outputs), 0)
+        return _SquareSums(np.zeros((outputs, rates.shape[2])), 0)
     rows = starts[:, None] + np.arange(length)
     response = _responses(linear, rows, rates) / linear.reference.record.resolution[:, None]
     # Windows, then all outputs at all steps of a window, then the signals.
@@ -239,24 +240,25 @@ def open_loop_squares(linear: LinearisedFlight, rates: Floats) -> _SquareSums:
     stacked = remaining.reshape(-1, remaining.shape[2])
     constants, change = stacked[:, :outputs], stacked[:, outputs:]
     change = change - constants @ _solve(constants, change)
-    return _SquareSums(np.sum(change.reshape(-1, outputs) ** 2, axis=0), rows.size)
+    return _SquareSums(np.sum(change.reshape(-1, outputs, change.shape[1]) ** 2, axis=0), rows.size)
 
 
 def _responses(linear: LinearisedFlight, rows: Integers, rates: Floats) -> Floats:
-    """Simulate the deviation of each window, shape (windows, length, m, states + m + 1): from an initial
-    state of 1, by a constant torque of 1 about each axis, and by the additional `rates`.
+    """Simulate the deviation of each window, shape (windows, length, m, states + m + k): from an initial
+    state of 1, by a constant torque of 1 about each axis, and by each of the additional `rates`.
     """
     steps, (windows, length), states = linear.steps, rows.shape, linear.states
     outputs = len(linear.model.outputs)
-    deviation = np.zeros((windows, states, states + outputs + 1))
+    first_rate = states + outputs
+    deviation = np.zeros((windows, states, first_rate + rates.shape[2]))
     deviation[:, :, :states] = np.eye(states)
     response = np.empty((windows, length, outputs, deviation.shape[2]))
     for number in range(length):
         at = rows[:, number]
         response[:, number] = steps.C[at] @ deviation
         deviation = steps.Phi[at] @ deviation
-        deviation[:, :, states:-1] += steps.Gamma[at] @ steps.by_disturbance[at][:, :, :outputs]
-        deviation[:, :, -1:] += steps.Gamma[at] @ rates[at][:, :, None]
+        deviation[:, :, states:first_rate] += steps.Gamma[at] @ steps.by_disturbance[at][:, :, :outputs]
+        deviation[:, :, first_rate:] += steps.Gamma[at] @ rates[at]
     return response
 
 
@@ -279,6 +281,10 @@ _TORQUE_STD_Nm: Final = (0.1, 0.03, 0.05)
 """Prior standard deviation of the coefficients about each axis: wide, of the size of the rigs' frictions."""
 _TEST_SPLINES: Final = 99
 """A number above those of a model's own spline terms, so that parameter names differ."""
+_SIMULATED_TOGETHER: Final = 8
+"""Functions whose changes of the prediction are simulated together. Fewer: the answer to initial states is
+simulated more often; with one, a quarter of a diagnosis of forty flights. More: memory, 0.6 MB per function
+and minute of flight."""
 _NO_TORQUE_Nm: Final = 2e-5
 _NO_GAIN: Final = 1e-6
 """Practically zero; covariances stay regular."""
@@ -458,10 +464,18 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
             [*screening.spline_information(splines), *_function_statistics(screening, curves_by_name)]
         )
         first_index = flights.stop
-    result = [
-        _dependence(test, rest_nats.get(test.name, 0.0), statistics, screenings)
+    tested = [
+        _dependence(test, rest_nats.get(test.name, 0.0), statistics)
         for test, *statistics in zip(tests, *statistics_by_screening, strict=True)
     ]
+    result = [each.dependence for each in tested if not each.dependence.is_significant]
+    significant = [each for each in tested if each.dependence.is_significant]
+    for together in batches(significant, lambda _: 1, _SIMULATED_TOGETHER):
+        counts = _change_counts(together, screenings)
+        result += [
+            replace(each.dependence, change_counts=change_counts)
+            for each, change_counts in zip(together, counts, strict=True)
+        ]
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
 
 
@@ -473,40 +487,48 @@ class _Test(NamedTuple):
     source: Candidate | list[Floats]  # (n, g): Spline term, or the curves of a torque in each flight
 
 
-def _dependence(
-    test: _Test, rest_nats: float, statistics: Sequence[ScoreStatistics], screenings: Sequence[Screening]
-) -> Dependence:
+class _TestedFunction(NamedTuple):
+    """Result of a test, and the coefficients with which the function fits best."""
+
+    test: _Test
+    dependence: Dependence
+    coefficients: Floats  # (g,)
+
+    def rates(self, regressors: Regressors, flight: int) -> Floats:
+        """Return what the function adds to the rates of the states of a flight, (n, states); `flight` is its
+        number among the flights of all sets.
+        """
+        if isinstance(self.test.source, Candidate):
+            return np.asarray(regressors.spline_signals(self.test.source).rates @ self.coefficients)
+        channel, _, _ = self.test.name.partition(" on ")
+        axis = AXES.index(channel_place(channel))
+        torque_Nm = self.test.source[flight] @ self.coefficients
+        return np.asarray(regressors.linear.steps.by_disturbance[:, :, axis] * torque_Nm[:, None])
+
+
+def _dependence(test: _Test, rest_nats: float, statistics: Sequence[ScoreStatistics]) -> _TestedFunction:
     """Carry out a test with one coefficient vector for all flights; `statistics` has one entry per set. It
     needs `rest_nats` more gain, because it may imitate an encoder that repeats its count.
     """
     information = np.sum([of_set.information for of_set in statistics], axis=0)
     score = np.sum([of_set.score for of_set in statistics], axis=0)
     gain, coefficients, _ = score_of(information, score, test.prior_std)
-    result = Dependence(test.name, gain, penalty(len(test.prior_std)) + rest_nats)
-    if not result.is_significant:
-        return result
-    return replace(result, change_counts=_change_counts(test, coefficients, screenings))
+    dependence = Dependence(test.name, gain, penalty(len(test.prior_std)) + rest_nats)
+    return _TestedFunction(test, dependence, coefficients)
 
 
-def _change_counts(test: _Test, coefficients: Floats, screenings: Sequence[Screening]) -> float:
-    """Return the change of the open-loop prediction by a regressor, encoder counts."""
+def _change_counts(functions: Sequence[_TestedFunction], screenings: Sequence[Screening]) -> list[float]:
+    """Return the change of the open-loop prediction by each of k functions, encoder counts."""
     # It is the root mean square over the set of flights, and on the axis, where it is largest.
     changes, flight = [], 0
     for screening in screenings:
-        squares, rows = np.zeros(len(AXES)), 0
+        squares, rows = np.zeros((len(AXES), len(functions))), 0
         for regressors in screening.regressors:
-            linear = regressors.linear
-            if isinstance(test.source, Candidate):
-                rates = regressors.spline_signals(test.source).rates @ coefficients
-            else:
-                channel, _, _ = test.name.partition(" on ")
-                axis = AXES.index(channel_place(channel))
-                torque_Nm = test.source[flight] @ coefficients
-                rates = linear.steps.by_disturbance[:, :, axis] * torque_Nm[:, None]
-            of_flight = open_loop_squares(linear, rates)
+            rates = np.stack([function.rates(regressors, flight) for function in functions], axis=2)
+            of_flight = open_loop_squares(regressors.linear, rates)
             squares, rows, flight = squares + of_flight.squares, rows + of_flight.rows, flight + 1
-        changes.append(np.sqrt(squares / max(rows, 1)).max())
-    return float(max(changes))
+        changes.append(np.sqrt(squares / max(rows, 1)).max(axis=0))
+    return [float(change) for change in np.max(changes, axis=0)]
 
 
 def _function_statistics(
