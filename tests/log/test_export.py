@@ -400,6 +400,7 @@ def test_a_tilt_that_checks_the_travel_encoder_is_no_error_of_the_law() -> None:
     before = responses(calm.between(0.0, 8.0))[2]
     assert (travel.overshoot_percent, travel.settling_s) == (before.overshoot_percent, before.settling_s)
     is_judged = (calm.t_s < 8.0) | (calm.t_s >= 18.4)
+    assert calm.travel_setpoint_rad is not None
     error_rad = (calm.travel_rad - calm.travel_setpoint_rad)[is_judged]
     assert travel.rms_deg == pytest.approx(np.rad2deg(np.sqrt(np.mean(error_rad**2))))
     assert (pitch.rms_deg, effort_V(checked)) == (0.0, pytest.approx(0.0, abs=1e-9))
