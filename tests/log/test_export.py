@@ -22,9 +22,9 @@ from heli_host.data.response import (
     effort_V,
     flight_under_law,
     flown_rows,
+    measuring_notes,
     responses,
     steps,
-    travel_checks_text,
 )
 from heli_host.declaration import Axis, Channel, Flags, State
 from heli_host.errors import LogWriteError
@@ -405,8 +405,29 @@ def test_a_tilt_that_checks_the_travel_encoder_is_no_error_of_the_law() -> None:
     assert travel.rms_deg == pytest.approx(np.rad2deg(np.sqrt(np.mean(error_rad**2))))
     assert (pitch.rms_deg, effort_V(checked)) == (0.0, pytest.approx(0.0, abs=1e-9))
     assert elevation == responses(calm)[0]
-    assert travel_checks_text(calm) == ""
-    assert "a check of the silent travel encoder" in travel_checks_text(checked)
+    assert measuring_notes(calm) == []
+    (note,) = measuring_notes(checked)
+    assert note.startswith("a check of the silent travel encoder")
+
+
+@pytest.mark.medium
+def test_a_step_with_missing_rows_is_not_measured_and_a_note_says_so() -> None:
+    whole = second_order()
+    with_gap = replace(whole, t_s=np.where(whole.t_s < AT_s + 0.2, whole.t_s, whole.t_s + 0.4))
+    travel = responses(with_gap)[2]
+    assert travel.step_deg == pytest.approx(STEP_deg)
+    assert math.isnan(travel.overshoot_percent) and math.isnan(travel.settling_s)
+    assert measuring_notes(with_gap) == [
+        "rows are missing after 5.198 s: a step response with a gap is not measured"
+    ]
+    assert not math.isnan(responses(whole)[2].overshoot_percent)
+
+
+@pytest.mark.medium
+def test_rows_count_if_the_log_does_not_name_its_states() -> None:
+    nameless = replace(second_order(), state_names={})
+    assert responses(nameless) == responses(second_order(state=False))
+    assert measuring_notes(nameless) == ["the log does not name its states: rows on the table count, too"]
 
 
 @pytest.mark.medium

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from heli_host.data.arrays import Booleans, Floats
+from heli_host.data.arrays import Booleans, Floats, Integers
 from heli_host.data.flight import MIN_ROWS, Flight
 from heli_host.declaration import AXES, Flags
 from heli_host.errors import FlightDataError, check_choice
@@ -36,9 +36,10 @@ def flown_rows(flight: Flight) -> Booleans:
     """Return the rows in which a control law flew: the board's own, an uploaded law, or the host's. Returns
     shape (n,).
     """
-    # If the flight marks its phases, only rows after the take-off and before the landing count.
+    # If the flight marks its phases, only rows after the take-off and before the landing count. Without names
+    # of its states, all rows count.
     rows = np.ones(len(flight), np.bool_)
-    if flight.state is not None:
+    if flight.state is not None and flight.state_names:
         rows = _rows_in_state(flight, _OWN) | _rows_in_state(flight, _STREAMED)
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
     flown_s = [event.t_s for event in phases if event.text not in (TAKE_OFF, LANDING)]
@@ -70,21 +71,39 @@ CHECK_RETURN_s: Final = 10.0
 """Time within which travel is back after a check of its encoder [s]; docs/reference/failures.md describes the
 checks. Shorter: the swing counts as an error of the law. Longer: a hover with two checks per minute is hardly
 judged at all."""
+_MAX_GAP_s: Final = 0.05
+"""Longest gap across which a response is measured [s], a twentieth of the rise time of travel. Longer: a peak
+may be missing. Shorter: a few lost ticks leave a flight without metrics."""
 _TILTED: Final = ("pitch", "travel")
 """Axes that a check moves."""
 
 
-def travel_checks_text(flight: Flight) -> str:
-    """State which rows are not judged because of checks of travel's encoder; empty without such checks."""
+def measuring_notes(flight: Flight) -> list[str]:
+    """State which rows errors and step responses are without, and which rows they wrongly contain."""
+    notes = []
     # The board reports the beginning and the result of each check.
     number = math.ceil(len(_check_times_s(flight)) / 2)
-    if not number:
-        return ""
-    checks = "a check" if number == 1 else f"{number} checks"
-    return (
-        f"{checks} of the silent travel encoder tilted the arm: errors and step responses of pitch and "
-        f"travel are without the {CHECK_RETURN_s:g} s after {'it' if number == 1 else 'each'}"
-    )
+    if number:
+        checks = "a check" if number == 1 else f"{number} checks"
+        notes.append(
+            f"{checks} of the silent travel encoder tilted the arm: errors and step responses of pitch and "
+            f"travel are without the {CHECK_RETURN_s:g} s after {'it' if number == 1 else 'each'}"
+        )
+    gap_rows = _gap_rows(flight)
+    if gap_rows.size:
+        notes.append(
+            f"rows are missing after {flight.t_s[gap_rows[0]]:.3f} s"
+            f"{f' and in {gap_rows.size - 1} more places' if gap_rows.size > 1 else ''}: "
+            "a step response with a gap is not measured"
+        )
+    if flight.state is not None and not flight.state_names:
+        notes.append("the log does not name its states: rows on the table count, too")
+    return notes
+
+
+def _gap_rows(flight: Flight) -> Integers:
+    """Return the last row before each gap in which a response may change, shape (k,)."""
+    return np.flatnonzero(np.diff(flight.t_s) > max(_MAX_GAP_s, 2.0 * flight.step_s))
 
 
 def _check_times_s(flight: Flight) -> list[float]:
@@ -212,7 +231,8 @@ class Step:
     size_deg : float
         Size of the step [deg].
     metrics : StepMetrics
-        Response of the axis, until the setpoint moves again, or a check of travel's encoder moves the arm.
+        Response of the axis, until the setpoint moves again, or a check of travel's encoder moves it; nan if rows
+        are missing.
     """
 
     start_s: float
@@ -288,11 +308,13 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
         return ()
     angle_deg, setpoint_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
     count_deg = float(np.rad2deg(count_rad(flight)[AXES.index(axis)]))
-    responses = []
+    responses, gap_rows = [], _gap_rows(flight)
     for first, stop in _setpoint_steps(flight, setpoint_deg, judged_rows(flight, axis)):
         start_deg, end_deg, t_s = setpoint_deg[first - 1], setpoint_deg[stop - 1], flight.t_s[first:stop]
         moved_deg = angle_deg[first:stop]
         metrics = step_metrics(t_s - t_s[0], moved_deg, float(start_deg), float(end_deg), count_deg)
+        if np.any((first <= gap_rows) & (gap_rows < stop - 1)):
+            metrics = StepMetrics(math.nan, math.nan, math.nan)
         responses.append(Step(float(t_s[0]), float(end_deg - start_deg), metrics))
     return tuple(responses)
 

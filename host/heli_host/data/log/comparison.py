@@ -11,7 +11,7 @@ import numpy as np
 
 from heli_host.data.files import save_figure
 from heli_host.data.flight import Flight, broken_at_gaps
-from heli_host.data.response import effort_V, flown_rows, led_rows, responses, travel_checks_text
+from heli_host.data.response import effort_V, flown_rows, led_rows, measuring_notes, responses
 from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 
@@ -109,8 +109,10 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 def comparison_lines(flights: Mapping[str, Flight]) -> list[str]:
     """Return the table of `comparison_numbers` as lines of text, and what its numbers leave out."""
     table = table_lines([HEADS, *comparison_rows(comparison_numbers(flights))], _WORDS)
-    texts = {label: travel_checks_text(flight) for label, flight in flights.items()}
-    return [*table, *(f"note: {label}: {text}" for label, text in texts.items() if text)]
+    notes = [
+        f"note: {label}: {note}" for label, flight in flights.items() for note in measuring_notes(flight)
+    ]
+    return [*table, *notes]
 
 
 def _number_text(value: float, form: str) -> str:

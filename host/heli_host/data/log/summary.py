@@ -25,7 +25,7 @@ from heli_host.data.files import RESULT_SCHEMA, write_text
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import Log
 from heli_host.data.log.writer import DISK_BLOCKED, TICKS_DROPPED
-from heli_host.data.response import flown_rows, judged_rows, rms, travel_checks_text
+from heli_host.data.response import flown_rows, judged_rows, measuring_notes, rms
 from heli_host.declaration import AXES
 from heli_host.errors import HeliError, LogWriteError
 from heli_host.link.installation import plugins
@@ -140,10 +140,10 @@ def summarise(log: Log) -> FlightSummary:
     closed_axes = _closed_axes(session.get("axes", ""))
     rms_deg: dict[str, float | None] = dict.fromkeys(AXES)
     max_deg: dict[str, float | None] = dict.fromkeys(AXES)
-    checks_text = ""
+    measuring: list[str] = []
     if len(log.ticks):
         flight = log.flight()
-        checks_text = travel_checks_text(flight)
+        measuring = measuring_notes(flight)
         for axis, errors_deg in zip(AXES, tracking_errors_deg(flight).T, strict=True):
             led_deg = errors_deg[~np.isnan(errors_deg)]
             if len(led_deg) and axis in closed_axes:
@@ -172,7 +172,7 @@ def summarise(log: Log) -> FlightSummary:
         notes=(
             *log.notes,
             *(event["message"] for event in log.events if event["name"] in _TOLD),
-            *([checks_text] if checks_text else []),
+            *measuring,
         ),
         log=str(log.path),
     )
