@@ -231,8 +231,8 @@ class Step:
     size_deg : float
         Size of the step [deg].
     metrics : StepMetrics
-        Response of the axis, until the setpoint moves again, or a check of travel's encoder moves it; nan if rows
-        are missing.
+        Response of the axis, until the setpoint moves again, or a check of travel's encoder moves it; nan if
+        rows are missing.
     """
 
     start_s: float
