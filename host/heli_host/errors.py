@@ -267,7 +267,7 @@ class CommandRefused(LinkError):
         """Return cause and remedy of a refused command in words, and set the state, fault or parameter that
         it concerns.
         """
-        detail = self.detail
+        detail = self.detail  # the result defines its meaning
         if self.result == Result.BAD_STATE:
             if detail in State._value2member_map_:
                 self.state = State(detail)

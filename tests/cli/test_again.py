@@ -176,6 +176,13 @@ def test_a_line_names_what_the_log_lacks(
         flight.read_repeat(replace(log, metadata=metadata), {})
 
 
+def test_a_flight_in_real_time_is_repeated_in_lockstep(log: Log) -> None:
+    address = f"{log.metadata['simulation']['address']}&speed=1&process=1".replace("speed=max&", "")
+    metadata = {**log.metadata, "simulation": {**log.metadata["simulation"], **COMPLETE, "address": address}}
+    repeat = flight.read_repeat(replace(log, metadata=metadata), {})
+    assert not repeat.is_exact and "process" not in repeat.options
+
+
 def test_what_a_log_gives_is_refused_on_the_command_line(terminal: Terminal) -> None:
     for words in (
         ("hover",),

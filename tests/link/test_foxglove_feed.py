@@ -3,6 +3,8 @@
 import json
 import os
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -188,3 +190,11 @@ def test_a_foreign_page_gets_no_sample_and_a_viewer_does(heli: Heli) -> None:
         local = Origin("http://localhost:1")
         with connect(feed.address, origin=local, subprotocols=[PROTOCOL], proxy=None) as viewer:
             assert json.loads(viewer.recv(PATIENCE_S))["op"] == "serverInfo"
+
+
+def test_a_server_whose_input_ends_at_once_ends_without_an_error() -> None:
+    command = [sys.executable, "-m", "heli_host.ui.foxglove_server"]
+    ended = subprocess.run(
+        command, check=False, stdin=subprocess.DEVNULL, capture_output=True, timeout=PATIENCE_S
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")

@@ -53,6 +53,7 @@ class Bench:
         """Let the board generate a test signal and add it to the motor voltages."""
         if isinstance(kind, str):
             if kind.upper() not in Excitation.__members__:
+                # NONE, whose value is 0, is not offered.
                 names = ", ".join(member.name.lower() for member in Excitation if member)
                 raise ParameterError(f"unknown excitation {kind}", f"choose from {names}")
             kind = Excitation[kind.upper()]

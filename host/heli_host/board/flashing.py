@@ -185,11 +185,12 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
         board.ask(HelloMessage(request=UNNUMBERED, link_hash=_NO_HASH, session=0))
     )
     if welcome.params_source not in _STORED:
-        return {}
+        return {}  # the board runs on its defaults
     board.ask(HelloMessage(request=UNNUMBERED, link_hash=welcome.link_hash, session=0))
     origin = ParamsOriginMessage.unpack(
-        board.ask(ParamsOriginReadMessage(UNNUMBERED), ParamsOriginMessage.STRUCT.size)
+        board.ask(ParamsOriginReadMessage(UNNUMBERED), min_bytes=ParamsOriginMessage.STRUCT.size)
     )
+    # After a migration, the board lists them in the order of its own schema, which is another.
     if origin.schema != PARAMS_HASH or origin.source == ParamsSource.MIGRATED:
         raise _unreadable_error(
             f"it saved them under the schema {origin.schema:08x}, this host's is {PARAMS_HASH:08x}"
@@ -199,10 +200,11 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
     while len(values) < len(PARAMS):
         first = len(values)
         payload = board.ask(ParamsReadMessage(UNNUMBERED, first))
-        head, size = ParamsMessage.unpack(payload), ParamsMessage.STRUCT.size
-        if head.first != first or head.count == 0 or len(payload) != size + 4 * head.count:
+        head, values_at = ParamsMessage.unpack(payload), ParamsMessage.STRUCT.size
+        singles = struct.Struct(f"<{head.count}f")
+        if head.first != first or head.count == 0 or len(payload) != values_at + singles.size:
             raise _unreadable_error("its list of parameters has another layout")
-        values += struct.unpack_from(f"<{head.count}f", payload, size)
+        values += singles.unpack_from(payload, values_at)
     return {spec.name: shortest_decimal(value) for spec, value in zip(PARAMS, values, strict=True)}
 
 
@@ -215,8 +217,8 @@ class _Asker:
         self._parser = FrameParser()
         self._slot = CommandSlot(RequestNumbers(0))
 
-    def ask(self, command: Command, size: int = 0) -> bytes:
-        """Send a request until it is answered; return the answer's payload, of at least `size` bytes."""
+    def ask(self, command: Command, min_bytes: int = 0) -> bytes:
+        """Send a request until it is answered; return the answer's payload, of at least `min_bytes`."""
         request = self._slot.ask(command, self._transport.now_s(), self._timeout_s)
         while not request.done:
             now_s = self._transport.now_s()
@@ -229,7 +231,7 @@ class _Asker:
             payload = request.answer().payload
         except HeliError as error:
             raise _unreadable_error("it does not answer the request for them") from error
-        if len(payload) < size:
+        if len(payload) < min_bytes:
             raise _unreadable_error("it answers the request for them in another layout")
         return payload
 
@@ -253,7 +255,7 @@ class Bossac:
     option and made its value optional; the value must then follow without a space."""
 
     @property
-    def doubtful(self) -> bool:
+    def is_doubtful(self) -> bool:
         """Whether this version is reported to leave a Due that does not start."""
         numbers = tuple(int(number) for number in re.findall(r"\d+", self.version)[:2])
         return numbers >= _DOUBTFUL_FROM
@@ -265,14 +267,14 @@ class Bossac:
         options = ("--erase", "--write", "--verify", "--boot=1")
         # 1.9.1 resets the chip right after the command that sets its boot bit, without waiting for the flash
         # (seen on an emulated chip). The reset comes from the USB bridge then, a moment later.
-        reset = () if self.doubtful else ("--reset",)
+        reset = () if self.is_doubtful else ("--reset",)
         return [self.path, f"--port={_port_name(port)}", *self.usb_option, *options, *reset, str(image)]
 
 
 def find_bossac(named: Path | None = None) -> Bossac:
     """Find the program bossac, which writes a Due's flash."""
     # It is searched on the path, then in the folders of PlatformIO and the Arduino IDE. The first version
-    # that suits a Due is taken; otherwise the first one, which is `Bossac.doubtful`.
+    # that suits a Due is taken; otherwise the first one, which is `Bossac.is_doubtful`.
     if named is not None:
         return _version_and_options(str(named))
     doubtful = []
@@ -281,7 +283,7 @@ def find_bossac(named: Path | None = None) -> Bossac:
             bossac = _version_and_options(path)
         except UploaderError:
             continue
-        if not bossac.doubtful:
+        if not bossac.is_doubtful:
             return bossac
         doubtful.append(bossac)
     if not doubtful:
@@ -370,11 +372,12 @@ def _error_from_output(bossac: Bossac, port: str, code: int, output: str) -> Fla
             "flash again over a short cable without a hub; if it fails again, the flash is worn: use another "
             "board",
         )
+    # The versions of bossac reject an unknown option in different words.
     if "-h' or" in output or "extra arguments" in output or "Usage:" in output:
         return FlashError(
             f"bossac {bossac.version} does not know the options that heli-host gave it", GET_BOSSAC
         )
-    if code < 0:
+    if code < 0:  # as subprocess states a process that a signal ended
         return FlashError(f"bossac {bossac.version} crashed (signal {-code})", GET_BOSSAC)
     return FlashError(
         f"bossac {bossac.version} failed with code {code}: {last_line}",

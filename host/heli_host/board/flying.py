@@ -214,29 +214,32 @@ class Flying:
         return {axis: (bound.least_deg, bound.most_deg) for axis, bound in bounds.items()}
 
     def climb(
-        self, elevation_deg: float, arm: Callable[[], None], axes: Axes, timeout_s: float | None
+        self, elevation_deg: float, enable_motors: Callable[[], None], axes: Axes, timeout_s: float | None
     ) -> Sample:
-        """Call `arm` if the board is idle, close the loops, climb, and wait until the arm is there."""
+        """Call `enable_motors` if the board is idle, close the loops, climb, and wait until the arm has
+        reached the elevation.
+        """
         check_setpoint({"elevation": elevation_deg}, self.params)
         if self.telemetry.latest.state is State.IDLE:
-            arm()
+            enable_motors()
         self.control(axes)
         self.setpoint({"elevation": elevation_deg})
-        near_since_s: list[float] = []
+        near_since_s: float | None = None
 
-        def there_or_off(sample: Sample) -> bool:
+        def is_there_or_off(sample: Sample) -> bool:
             """Whether the arm has stayed at its target for a while, or the motors are off."""
+            nonlocal near_since_s
             if abs(sample.elevation_deg - elevation_deg) > _REACHED_DEG:
-                near_since_s.clear()
-            elif not near_since_s:
-                near_since_s.append(sample.t_s)
-            stayed = bool(near_since_s) and sample.t_s - near_since_s[0] >= _REACHED_FOR_S
-            return stayed or sample.state in MOTORS_OFF
+                near_since_s = None
+            elif near_since_s is None:
+                near_since_s = sample.t_s
+            has_stayed = near_since_s is not None and sample.t_s - near_since_s >= _REACHED_FOR_S
+            return has_stayed or sample.state in MOTORS_OFF
 
         if timeout_s is None:
             climb_deg = abs(elevation_deg - self.telemetry.latest.elevation_deg)
             timeout_s = climb_deg / self.params["elevation_slew_deg_s"] + _CLIMB_SPARE_S
-        sample = self.telemetry.wait_until(there_or_off, timeout_s)
+        sample = self.telemetry.wait_until(is_there_or_off, timeout_s)
         if sample.state is State.FAULT:
             raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
         return sample

@@ -76,17 +76,17 @@ class Landing:
         self, on_landing: Callable[[], object] | None = None, on_wait: Callable[[], object] | None = None
     ) -> str:
         """Bring the arm onto the table from any state, and return what went wrong; empty for nothing."""
-        restarts = self._session.counters.restarts
-        for attempts_left in reversed(range(STOP_TRIES)):
+        restarts_before = self._session.counters.restarts
+        for remaining_tries in reversed(range(STOP_TRIES)):
             try:
-                self._descend(restarts, on_landing, on_wait)
+                self._descend(restarts_before, on_landing, on_wait)
                 break
             except LinkLost:
-                raise
+                raise  # no command reaches the board, which lands by itself
             except HeliError:
-                if not attempts_left:
+                if not remaining_tries:
                     raise
-        if self._session.counters.restarts != restarts:
+        if self._session.counters.restarts != restarts_before:
             return self.restart_text()
         sample = self._telemetry.latest
         # A log ends with the arm at rest.
@@ -141,29 +141,33 @@ class Landing:
         return text
 
     def _descend(
-        self, restarts: int, on_landing: Callable[[], object] | None, on_wait: Callable[[], object] | None
+        self,
+        restarts_before: int,
+        on_landing: Callable[[], object] | None,
+        on_wait: Callable[[], object] | None,
     ) -> None:
         """Land, and return when the motors are off, the board has restarted, or the time is over."""
         session = self._session
         self._flying.forget_target()
         limit_ticks = round(_LANDING_TIMES * self._params["landing_timeout_s"] / TICK_S)
-        since_tick = None
+        begin_tick = None
 
         def state_if_running() -> State | None:
-            """Return the state of a board whose motors run; None if they are off."""
+            """Return the state of a board whose motors run; None if they are off, as after a restart."""
             state = session.state
-            is_over = session.counters.restarts != restarts or state in MOTORS_OFF
+            is_over = session.counters.restarts != restarts_before or state in MOTORS_OFF
             return None if is_over else state
 
         def has_left(earlier: State) -> bool:
             return state_if_running() is not earlier
 
         while (state := state_if_running()) is not None:
-            if since_tick is None:
-                since_tick = self._telemetry.latest.tick
+            if begin_tick is None:
+                begin_tick = self._telemetry.latest.tick
+                # An armed board has not taken off yet.
                 if on_landing is not None and state is not State.ARMED:
                     on_landing()
-            if self._telemetry.latest.tick - since_tick > limit_ticks:
+            if self._telemetry.latest.tick - begin_tick > limit_ticks:
                 return
             if state not in _DESCENDING:
                 self._begin_descent(state)

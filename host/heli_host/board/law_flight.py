@@ -205,31 +205,33 @@ def run_controller(
         As in `heli_host.Heli.run_controller`, which calls this; so are errors.
     """
     check_choice("after", after, AFTER_LAW)
+    # A rate that is not positive gives a period of 0, which is refused like a rate that is too high.
     period_ticks = round(1.0 / (rate_Hz * TICK_S)) if rate_Hz > 0.0 else 0
     if period_ticks < _MIN_PERIOD_TICKS:
         most_Hz = 1.0 / (_MIN_PERIOD_TICKS * TICK_S)
         raise ControllerError(f"a control law cannot run at {rate_Hz:g} Hz", f"give at most {most_Hz:g} Hz")
     session, params = heli.session, heli.params
-    batch_ticks, read_interval_s = params["telemetry_batch_ticks"], session.read_interval_s
+    batch_before, read_interval_before_s = params["telemetry_batch_ticks"], session.read_interval_s
     telemetry: list[Ticks] = []
-    run = _Run(period_ticks, round(duration_s / TICK_S), valid_s)
+    run = _Run(period_ticks, duration_ticks=round(duration_s / TICK_S), valid_s=valid_s)
     unsubscribe = session.subscribe_ticks(telemetry.append)
     try:
         params["telemetry_batch_ticks"] = min(period_ticks, _MAX_BATCH_TICKS)
         session.read_interval_s = _READ_INTERVAL_S
         _run_law_at_rate(heli, law, run)
     except BaseException:
+        # Also after an interrupt; the first error is the one that matters.
         with contextlib.suppress(HeliError):
             if heli.motors_may_run:
                 heli.control()
         raise
     finally:
         unsubscribe()
-        session.read_interval_s = read_interval_s
+        session.read_interval_s = read_interval_before_s
         with contextlib.suppress(HeliError):
-            params["telemetry_batch_ticks"] = batch_ticks
+            params["telemetry_batch_ticks"] = batch_before
     if after == "hold":
-        heli.control()
+        heli.control()  # an uploaded law has the board's own in parallel, streamed voltages have not
     _end_law(heli, after)
     return _summary_of_run(run, telemetry, session.ticks_counted_on)
 
@@ -243,12 +245,12 @@ def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
     heli.stream()
     first_tick = due_tick = heli.latest.tick + 1
 
-    def due() -> bool:
+    def is_due_or_taken_over() -> bool:
         newest = session.latest
         return newest is not None and (newest.tick >= due_tick or session.state is not State.STREAMED)
 
     while True:
-        session.wait_for(due, step_s=TICK_S)
+        session.wait_for(is_due_or_taken_over, step_s=TICK_S)
         sample = heli.latest
         if sample.state is State.FAULT:
             raise FlightAborted(f"the board switched the motors off: {fault_text(sample.fault)}")
@@ -263,9 +265,10 @@ def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
                 )
             heli.stream()
             continue
-        late_periods = max(sample.tick - due_tick, 0) // run.period_ticks
-        run.misses += late_periods
-        due_tick += (1 + late_periods) * run.period_ticks
+        # Missed calls are not made up for: the next one is due on the old raster.
+        missed_periods = max(sample.tick - due_tick, 0) // run.period_ticks
+        run.misses += missed_periods
+        due_tick += (1 + missed_periods) * run.period_ticks
         began_s = time.perf_counter()
         front_V, back_V = _checked_voltages(law, sample)
         run.law_s.append(time.perf_counter() - began_s)
@@ -273,7 +276,8 @@ def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
             session.stream(FollowingMessage(*(law.setpoints_rad[axis] for axis in AXES)))
         sent_front_V = min(max(front_V, low_V), high_V)
         sent_back_V = min(max(back_V, low_V), high_V)
-        run.clipped += (sent_front_V, sent_back_V) != (front_V, back_V)
+        if sent_front_V != front_V or sent_back_V != back_V:
+            run.clipped += 1
         heli.voltages(sent_front_V, sent_back_V, run.valid_s)
         run.tick.append(sample.tick)
         run.front_V.append(sent_front_V)
@@ -305,34 +309,37 @@ def _summary_of_run(
     `telemetry` has the voltages that acted during the run, and `unwrapped_ticks` returns its ticks without
     overflow.
     """
-    latency_ms = np.array([math.nan])
-    latency_count = 0
+    latencies_ticks = np.empty(0)
     if telemetry and run.tick:
         tick = np.concatenate([unwrapped_ticks(ticks) for ticks in telemetry])
         raw = np.concatenate([ticks.raw for ticks in telemetry])
         acting_V = np.column_stack([physical(raw, motor) for motor in (Channel.FRONT, Channel.BACK)])
         latencies_ticks = _latencies_ticks(run, tick, acting_V)
-        latency_count = len(latencies_ticks)
-        if latency_count:
-            latency_ms = latencies_ticks * (TICK_S * 1e3)
-    law_ms = np.array(run.law_s or [math.nan]) * 1e3
+    latency_p50_ms, latency_p95_ms, latency_max_ms = _percentiles(latencies_ticks * (TICK_S * 1e3))
+    law_p50_ms, law_p95_ms, law_max_ms = _percentiles(np.array(run.law_s) * 1e3)
     span_s = (run.tick[-1] - run.tick[0]) * TICK_S if len(run.tick) > 1 else 0.0
-    latency_percentiles_ms = [float(value) for value in np.percentile(latency_ms, (50, 95, 100))]
-    law_percentiles_ms = [float(value) for value in np.percentile(law_ms, (50, 95, 100))]
     return ControllerReport(
         calls=len(run.tick),
         rate_Hz=(len(run.tick) - 1) / span_s if span_s > 0.0 else 0.0,
         misses=run.misses,
         takeovers=run.takeovers,
         clipped=run.clipped,
-        latency_p50_ms=latency_percentiles_ms[0],
-        latency_p95_ms=latency_percentiles_ms[1],
-        latency_max_ms=latency_percentiles_ms[2],
-        latency_count=latency_count,
-        law_p50_ms=law_percentiles_ms[0],
-        law_p95_ms=law_percentiles_ms[1],
-        law_max_ms=law_percentiles_ms[2],
+        latency_p50_ms=latency_p50_ms,
+        latency_p95_ms=latency_p95_ms,
+        latency_max_ms=latency_max_ms,
+        latency_count=len(latencies_ticks),
+        law_p50_ms=law_p50_ms,
+        law_p95_ms=law_p95_ms,
+        law_max_ms=law_max_ms,
     )
+
+
+def _percentiles(values: npt.NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return the median, the 95th percentile and the maximum; nan without values."""
+    if not values.size:
+        return math.nan, math.nan, math.nan
+    p50, p95, largest = (float(value) for value in np.percentile(values, (50, 95, 100)))
+    return p50, p95, largest
 
 
 def _latencies_ticks(
@@ -357,6 +364,10 @@ def _latencies_ticks(
 PART_WORDS: Final = sum(name.startswith("word_") for name in LawPartMessage.__slots__)
 _ENGAGED_TIMEOUT_S: Final = 1.0
 _ENGAGED_TICKS: Final = 200
+"""Time within which telemetry shows that a law flies; the timeout is for a link without samples."""
+_LAW_END_SPARE_S: Final = 10.0
+"""Wait for the last sample of a flight beyond its duration, in case telemetry is lost [s]."""
+_EVENT_LAG_S: Final = 0.1
 
 
 def loaded(session: Session) -> LawMessage:
@@ -432,6 +443,7 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
     """Start a law on the board from the next tick on; the board must hover under its own law."""
     upload(heli.session, program)
     signal_names = ", ".join(program.signal_names) or "none"
+    # The log gets the names: telemetry only has the signals' values.
     heli.session.tell(
         LAW_SIGNAL_NAMES,
         f"law {program.name} ({program.hash:08x}); its signals: {signal_names}",
@@ -441,22 +453,23 @@ def engage(heli: Vehicle, program: LawProgram, parameters: Mapping[str, float] |
         set_parameter(heli.session, program, name, value)
     start_tick = heli.latest.tick
     heli.session.command(LawFlyMessage(UNNUMBERED, on=1))
-    law_ticks: list[int] = []
+    first_law_tick: int | None = None
 
-    def has_engaged(sample: Sample) -> bool:
-        if sample.flags & Flags.LAW:
-            law_ticks.append(sample.tick)
-        return bool(law_ticks) or sample.tick > start_tick + _ENGAGED_TICKS
+    def has_engaged_or_failed(sample: Sample) -> bool:
+        nonlocal first_law_tick
+        if first_law_tick is None and sample.flags & Flags.LAW:
+            first_law_tick = sample.tick
+        return first_law_tick is not None or sample.tick > start_tick + _ENGAGED_TICKS
 
-    heli.wait_until(has_engaged, _ENGAGED_TIMEOUT_S)
-    if not law_ticks:
+    heli.wait_until(has_engaged_or_failed, _ENGAGED_TIMEOUT_S)
+    if first_law_tick is None:
         takeover = takeover_since(heli, start_tick)
         reason = f": {takeover.name} ({takeover.value:.4g})" if takeover else ""
         raise FlightAborted(
             f"control law {program.name} was taken over immediately{reason}",
             "simulate it first with heli-host law check",
         )
-    return law_ticks[0]
+    return first_law_tick
 
 
 def fly_law(
@@ -470,21 +483,25 @@ def fly_law(
     """Fly a law on the board for a while."""
     check_choice("after", after, AFTER_LAW)
     first_tick = engage(heli, program, parameters)
-    end_tick = first_tick + round(duration_s * 1000.0)
+    end_tick = first_tick + round(duration_s / TICK_S)
 
     def has_ended(sample: Sample) -> bool:
         return sample.tick >= end_tick or not sample.flags & Flags.LAW
 
-    last = heli.wait_until(has_ended, duration_s + 10.0)
-    reason, value = "", 0.0
+    last = heli.wait_until(has_ended, duration_s + _LAW_END_SPARE_S)
+    takeover = TakeoverReason("", 0.0)
     if last.flags & Flags.LAW:
         heli.session.command(LawFlyMessage(UNNUMBERED, on=0))
     else:
         # The board took over. Telemetry shows this slightly before the event with the reason arrives.
-        heli.wait(0.1)
-        reason, value = takeover_since(heli, first_tick) or TakeoverReason("unknown", 0.0)
+        heli.wait(_EVENT_LAG_S)
+        takeover = takeover_since(heli, first_tick) or TakeoverReason("unknown", 0.0)
     report = LawReport(
-        program.name, program.hash, flown_s=(last.tick - first_tick) * 1e-3, taken_over=reason, value=value
+        program.name,
+        program.hash,
+        flown_s=(last.tick - first_tick) * TICK_S,
+        taken_over=takeover.name,
+        value=takeover.value,
     )
     if heli.latest.state is State.FAULT:
         raise FlightAborted(f"the board switched the motors off: {fault_text(heli.latest.fault)}")

@@ -137,14 +137,16 @@ class LawProgram:
                 f"holds {LAW_WORDS}",
                 "simplify it: fewer states, fewer unrolled iterations",
             )
+        # A call must end before the next one begins, `divisor` ticks later.
         ticks_needed = self.ticks
         if ticks_needed > min(self.divisor, LAW_MAX_TICKS):
-            slower = next((d for d in DIVISORS if d >= ticks_needed), None)
+            remedy = "simplify it: it fits no rate"
+            fitting_divisor = next((divisor for divisor in DIVISORS if divisor >= ticks_needed), None)
+            if fitting_divisor is not None and ticks_needed <= LAW_MAX_TICKS:
+                fitting_Hz = TICK_Hz / fitting_divisor
+                remedy = f"at {fitting_Hz:g} Hz it fits: a call is spread over {ticks_needed} ticks"
             raise BadLaw(
-                f"a call costs up to {self.cost} instructions, a tick has {LAW_TICK_COST} for it",
-                f"at {TICK_Hz / slower:g} Hz it fits: a call is spread over {ticks_needed} ticks"
-                if slower is not None and ticks_needed <= LAW_MAX_TICKS
-                else "simplify it: it fits no rate",
+                f"a call costs up to {self.cost} instructions, a tick has {LAW_TICK_COST} for it", remedy
             )
 
     @property

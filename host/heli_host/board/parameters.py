@@ -223,25 +223,24 @@ def parameter_set(content: Mapping[str, object], file: Path) -> ParameterSet:
     # schema, known parameters with the declared unit and a valid value are used, and the others are dropped.
     values = _numbers_by_name(content, file)
     units = content.get(UNITS)
-    other_schema = content.get(SCHEMA, f"{PARAMS_HASH:08x}") != f"{PARAMS_HASH:08x}"
+    is_other_schema = content.get(SCHEMA, f"{PARAMS_HASH:08x}") != f"{PARAMS_HASH:08x}"
     accepted: dict[str, float] = {}
     dropped: list[str] = []
     for name, value in values.items():
         try:
             unit = checked(name, value).unit
         except ParameterError as error:
-            if not other_schema:
+            if not is_other_schema:
                 raise
             dropped.append(error.cause)
             continue
-        stated = units.get(name, unit) if isinstance(units, dict) else unit
-        if other_schema and stated != unit:
-            dropped.append(f"{name} was in {stated or 'no unit'} and is in {unit or 'no unit'} now")
+        stated_unit = units.get(name, unit) if isinstance(units, dict) else unit
+        if is_other_schema and stated_unit != unit:
+            dropped.append(f"{name} was in {stated_unit or 'no unit'} and is in {unit or 'no unit'} now")
         else:
             accepted[name] = value
-    return ParameterSet(
-        accepted, tuple(dropped), tuple(spec.name for spec in PARAMS if spec.name not in values)
-    )
+    missing = tuple(spec.name for spec in PARAMS if spec.name not in values)
+    return ParameterSet(accepted, tuple(dropped), missing)
 
 
 def _numbers_by_name(content: Mapping[str, object], file: Path) -> dict[str, float]:

@@ -91,7 +91,9 @@ class RestAngles:
         return cls(newest.elevation_deg, pitch_deg, pitch_count_deg, HoverTilt(pitch_count_deg))
 
     def shift_after(self, samples: Samples) -> str | None:
-        """Compare with the angles after the landing."""
+        """Compare with the angles in the samples since the landing; return a text about a shift, empty if
+        there is none, None while the arm has not settled.
+        """
         if len(samples) < _FIRST_LOOK_TICKS:
             return None
         pitch_deg = self._settled_pitch_deg(np.degrees(samples.pitch_rad))
@@ -99,20 +101,23 @@ class RestAngles:
         if pitch_deg is None or elevation_deg is None:
             return None
         if self._is_held(float(np.degrees(samples.pitch_rad[0])), pitch_deg):
-            pitch_deg = self.pitch_deg
-        compared = {"elevation": (self.elevation_deg, elevation_deg), "pitch": (self.pitch_deg, pitch_deg)}
-        shifted = {
+            pitch_deg = self.pitch_deg  # friction explains the tilt, so that it does not count as a shift
+        before_and_after_deg = {
+            "elevation": (self.elevation_deg, elevation_deg),
+            "pitch": (self.pitch_deg, pitch_deg),  # nan if pitch was not known before: no shift
+        }
+        shift_texts = {
             axis: f"{axis} at rest was {before_deg:.1f} degrees before the take-off and is {after_deg:.1f} "
             f"after the landing, a difference of {after_deg - before_deg:.1f}"
-            for axis, (before_deg, after_deg) in compared.items()
+            for axis, (before_deg, after_deg) in before_and_after_deg.items()
             if abs(after_deg - before_deg) > MAX_SHIFT_DEG
         }
-        if not shifted:
+        if not shift_texts:
             return ""
         return (
-            f"{ANGLE_SHIFTED}: {', '.join(shifted.values())} (allowed: {MAX_SHIFT_DEG:g}); do not use the "
-            f"angles of this flight: check plug and cable of the {' and '.join(shifted)} encoder, let the "
-            "arm rest, then zero it"
+            f"{ANGLE_SHIFTED}: {', '.join(shift_texts.values())} (allowed: {MAX_SHIFT_DEG:g}); do not use "
+            f"the angles of this flight: check plug and cable of the {' and '.join(shift_texts)} encoder, "
+            "let the arm rest, then zero it"
         )
 
     def _is_held(self, landed_deg: float, rest_deg: float) -> bool:

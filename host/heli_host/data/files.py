@@ -118,6 +118,8 @@ FORCE: Final[ContextVar[bool]] = ContextVar("force", default=False)
 _HEAD_BYTES: Final = 8192
 _TAIL_BYTES: Final = 1 << 18
 _LONGEST_TEXT_BYTES: Final = 1 << 26
+_DIGEST_LINE_BYTES: Final = 200
+"""More than a last line with a digest takes."""
 _DIGEST_LINE: Final = re.compile(rb"[^\n]*\bwritten by heli-host, digest ([0-9a-f]{16})\b[^\n]*\n?\Z")
 _JSON_HEAD: Final = re.compile(rb'\{\s*"schema":\s*\d+\s*,')
 _COMMENTS: Final = {".c": ("// ", ""), **dict.fromkeys((".xml", ".html", ".md"), ("<!-- ", " -->"))}
@@ -154,25 +156,24 @@ def is_own_file(path: Path) -> bool:
     """Return whether the program wrote a file, and, if it is a text for editing, it is unchanged."""
     size = path.stat().st_size
     if size == 0:
-        return True
+        return True  # nothing is lost
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
         file.seek(max(0, size - _TAIL_BYTES))
         tail = file.read()
-        whole = b""
-        if b"written by heli-host, digest " in tail[-200:] and size <= _LONGEST_TEXT_BYTES:
+        has_digest = b"written by heli-host, digest " in tail[-_DIGEST_LINE_BYTES:]
+        if has_digest and size <= _LONGEST_TEXT_BYTES:
             file.seek(0)
-            whole = file.read()
-    if whole:
-        return _has_own_digest(whole)
-    if head.startswith(b"\x1f\x8b"):
+            return _has_own_digest(file.read())
+    if head.startswith(b"\x1f\x8b"):  # gzip
         head = _unpacked_head(path)
+    # Otherwise each kind of file names its writer in another place.
     if head.startswith((b"\x89PNG", b"%PDF", b"<?xml", b"PAR1", b"PK")):
         return WRITER.encode() in head or WRITER.encode() in tail
     if head.startswith(b"\x89MCAP0"):
         return b"heli_host" in head[:200]
     if head.startswith(b"MATLAB 5.0"):
-        return b"written by heli_host" in head[:116]
+        return b"written by heli_host" in head[:116]  # the format's field for a text
     if path.name.endswith(_NOTES):
         return bool(_NOTE_LINE.match(head))
     if path.suffix == ".ipynb":

@@ -55,6 +55,7 @@ _GAP_RATIO = 1.75
 _MAX_POINTS = 800
 """Points of a line in the small figure, which is 640 dots wide."""
 _COLOURS: Final = {"elevation": "#0b5fa5", "pitch": "#b3420f", "travel": "#157a4a"}
+_MOTOR_COLOURS: Final = {"front": "#6b3fa0", "back": "#c98a00"}
 
 
 class Recorded(Protocol):
@@ -196,35 +197,37 @@ def broken_at_gaps(t_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     return np.insert(t_s, rows_after_gap, np.nan), np.insert(values, rows_after_gap, np.nan, axis=0)
 
 
-def small_figure(of: Recorded) -> bytes:
-    """Draw angles [deg] above and voltages [V] below, over time."""
+def small_figure(recorded: Recorded) -> bytes:
+    """Draw angles [deg] above and voltages [V] below, over time; return a PNG file."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.4, 3.2), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
-    angles, volts = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    step = max(1, of.t_s.size // _MAX_POINTS)
-    t_s = of.t_s[::step]
-    columns = of.columns()
+    FigureCanvasAgg(figure)  # draws without a window
+    angle_panel, volts_panel = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    thinned = slice(None, None, max(1, recorded.t_s.size // _MAX_POINTS))
+    t_s = recorded.t_s[thinned]
+    columns = recorded.columns()
     for axis, colour in _COLOURS.items():
         setpoint_rad = columns.get(f"{axis}_setpoint_rad")
         if setpoint_rad is not None:
-            setpoint_deg = np.rad2deg(setpoint_rad[::step])
-            angles.plot(*broken_at_gaps(t_s, setpoint_deg), color=colour, lw=0.8, ls="--", alpha=0.6)
-        angle_deg = np.rad2deg(columns[f"{axis}_rad"][::step])
-        angles.plot(*broken_at_gaps(t_s, angle_deg), color=colour, lw=1.2, label=axis)
-    volts.plot(*broken_at_gaps(t_s, of.front_V[::step]), color="#6b3fa0", lw=0.9, label="front")
-    volts.plot(*broken_at_gaps(t_s, of.back_V[::step]), color="#c98a00", lw=0.9, label="back")
-    for axes, unit in ((angles, "deg"), (volts, "V")):
-        axes.set_ylabel(unit)
-        axes.grid(alpha=0.25)
-        axes.tick_params(labelsize=8)
-        axes.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+            setpoint_deg = np.rad2deg(setpoint_rad[thinned])
+            angle_panel.plot(*broken_at_gaps(t_s, setpoint_deg), color=colour, lw=0.8, ls="--", alpha=0.6)
+        angle_deg = np.rad2deg(columns[f"{axis}_rad"][thinned])
+        angle_panel.plot(*broken_at_gaps(t_s, angle_deg), color=colour, lw=1.2, label=axis)
+    for motor, colour in _MOTOR_COLOURS.items():
+        motor_V = columns[f"{motor}_V"][thinned]
+        volts_panel.plot(*broken_at_gaps(t_s, motor_V), color=colour, lw=0.9, label=motor)
+    for panel, unit in ((angle_panel, "deg"), (volts_panel, "V")):
+        panel.set_ylabel(unit)
+        panel.grid(alpha=0.25)
+        panel.tick_params(labelsize=8)
+        panel.legend(fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     if "travel_setpoint_rad" in columns:
-        angles.set_title("dashed: setpoints", fontsize=8, loc="right")
-    volts.set_xlabel("time [s]", fontsize=8)
+        angle_panel.set_title("dashed: setpoints", fontsize=8, loc="right")
+    volts_panel.set_xlabel("time [s]", fontsize=8)
     buffer = io.BytesIO()
+    # Without the version of matplotlib, the same flight gives the same bytes.
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
 
@@ -382,18 +385,20 @@ class Flight(AngleViews):
             If fewer rows than a flight needs are left.
         """
         keep = (self.t_s >= start_s) & (self.t_s < stop_s)
-        if int(keep.sum()) < MIN_ROWS:
+        kept_rows = int(keep.sum())
+        if kept_rows < MIN_ROWS:
             raise FlightDataError(
-                f"only {int(keep.sum())} rows between {start_s:g} and {stop_s:g} s",
+                f"only {kept_rows} rows between {start_s:g} and {stop_s:g} s",
                 f"this flight spans {self.t_s[0]:g} to {self.t_s[-1]:g} s"
                 if len(self)
                 else "the flight is empty",
             )
-        named = self.columns().items()
-        cut: dict[str, Any] = {name: column[keep] for name, column in named if name in OWN_COLUMNS}
+        attributes: dict[str, Any] = {
+            name: column[keep] for name, column in self.columns().items() if name in OWN_COLUMNS
+        }
         return replace(
             self,
-            **cut,
+            **attributes,
             extra={name: column[keep] for name, column in self.extra.items()},
             events=tuple(event for event in self.events if start_s <= event.t_s < stop_s),
         )
@@ -410,7 +415,10 @@ MAX_VOLTAGE_V = 100.0
 _MIN_ROWS_JOINED = 100
 """Rows before and after a fall of time from which it counts as the begin of another flight. Fewer: a single
 bad time is taken for one. More: short flights that were joined are not recognised."""
+_NEW_START_SHARE = 0.5
+"""Share of the time that has passed, below which a time that falls is the start of another flight."""
 _MAX_STEP_S = 0.5
+"""Longest typical step [s]: a row every millisecond, in milliseconds, steps by 1."""
 
 
 def data_row(row: int) -> str:
@@ -447,11 +455,14 @@ def _check_time(t_s: Floats, source: str, allow_gaps: bool, where: Callable[[int
     of the file.
     """
     step_s = np.diff(t_s)
-    falling_rows = np.flatnonzero(step_s <= 0.0)
-    if falling_rows.size:
-        row = int(falling_rows[0]) + 1
-        begins_again = len(falling_rows) == 1 and t_s[row] - t_s[0] < 0.5 * (t_s[row - 1] - t_s[0])
-        if begins_again and min(row, len(t_s) - row) >= _MIN_ROWS_JOINED:
+    steps_not_rising = np.flatnonzero(step_s <= 0.0)
+    if steps_not_rising.size:
+        row = int(steps_not_rising[0]) + 1
+        rows_before, rows_after = row, len(t_s) - row
+        # The time of another flight starts anew; rows out of order step back by little.
+        is_new_start = t_s[row] - t_s[0] < _NEW_START_SHARE * (t_s[row - 1] - t_s[0])
+        are_both_flights = min(rows_before, rows_after) >= _MIN_ROWS_JOINED
+        if len(steps_not_rising) == 1 and is_new_start and are_both_flights:
             raise FlightDataError(
                 f"{source} holds two flights that were joined: t_s falls from {t_s[row - 1]:.9g} to "
                 f"{t_s[row]:.9g} s in {where(row)}",
@@ -501,16 +512,19 @@ def _check_units(flight: Flight, source: str, where: Callable[[int], str]) -> No
                 remedy,
             )
     for name in (f"{axis}_rad" for axis in AXES):
-        signed_moves = np.diff(getattr(flight, name))
+        moves = np.diff(getattr(flight, name))
         # An arm that turns on and on moves by many counts from row to row of a slow log.
-        if abs(float(np.sign(signed_moves).mean())) > _TURNING_SHARE:
+        if abs(float(np.sign(moves).mean())) > _TURNING_SHARE:
             continue
-        moves = np.abs(signed_moves)
-        rows = np.flatnonzero(moves > 0.0)
-        if rows.size >= _MIN_MOVES and float(moves[rows].min()) > _MAX_COUNT_RAD:
+        moving_rows = np.flatnonzero(moves)
+        if moving_rows.size < _MIN_MOVES:
+            continue
+        # The smallest move is a count of the encoder.
+        count = float(np.abs(moves[moving_rows]).min())
+        if count > _MAX_COUNT_RAD:
             raise FlightDataError(
-                f"{source}: {name} moves in steps of {moves[rows].min():.4g} (the first in "
-                f"{where(int(rows[0]) + 1)}), which {suspicion}",
+                f"{source}: {name} moves in steps of {count:.4g} (the first in "
+                f"{where(int(moving_rows[0]) + 1)}), which {suspicion}",
                 remedy,
             )
     for name in ("front_V", "back_V"):

@@ -308,15 +308,16 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
         return ()
     angle_deg, setpoint_deg = np.rad2deg(getattr(flight, f"{axis}_rad")), np.rad2deg(setpoint_rad)
     count_deg = float(np.rad2deg(count_rad(flight)[AXES.index(axis)]))
-    responses, gap_rows = [], _gap_rows(flight)
+    result, gap_rows = [], _gap_rows(flight)
     for first, stop in _setpoint_steps(flight, setpoint_deg, judged_rows(flight, axis)):
-        start_deg, end_deg, t_s = setpoint_deg[first - 1], setpoint_deg[stop - 1], flight.t_s[first:stop]
-        moved_deg = angle_deg[first:stop]
-        metrics = step_metrics(t_s - t_s[0], moved_deg, float(start_deg), float(end_deg), count_deg)
-        if np.any((first <= gap_rows) & (gap_rows < stop - 1)):
+        start_deg, end_deg = float(setpoint_deg[first - 1]), float(setpoint_deg[stop - 1])
+        t_s = flight.t_s[first:stop]
+        metrics = step_metrics(t_s - t_s[0], angle_deg[first:stop], start_deg, end_deg, count_deg)
+        has_gap = bool(np.any((first <= gap_rows) & (gap_rows < stop - 1)))
+        if has_gap:
             metrics = StepMetrics(math.nan, math.nan, math.nan)
-        responses.append(Step(float(t_s[0]), float(end_deg - start_deg), metrics))
-    return tuple(responses)
+        result.append(Step(start_s=float(t_s[0]), size_deg=end_deg - start_deg, metrics=metrics))
+    return tuple(result)
 
 
 def step_metrics(
@@ -340,16 +341,18 @@ def step_metrics(
     size_deg = end_deg - start_deg
     completed_share = (angle_deg - start_deg) / size_deg
     # The rise lasts from 10 % to 90 % of the step.
-    rows_above = [np.flatnonzero(completed_share >= level) for level in (0.1, 0.9)]
-    rise_s = float(t_s[rows_above[1][0]] - t_s[rows_above[0][0]]) if rows_above[1].size else math.nan
-    compared_deg = angle_deg
+    rows_above_10, rows_above_90 = (np.flatnonzero(completed_share >= level) for level in (0.1, 0.9))
+    rise_s = float(t_s[rows_above_90[0]] - t_s[rows_above_10[0]]) if rows_above_90.size else math.nan
     if math.isfinite(count_deg):
-        compared_deg = _between_counts(t_s, angle_deg, end_deg, count_deg)
-    rows_outside = np.flatnonzero(np.abs(compared_deg - end_deg) > SETTLED_SHARE * abs(size_deg))
+        angle_deg = _between_counts(t_s, angle_deg, end_deg, count_deg)
+    rows_outside = np.flatnonzero(np.abs(angle_deg - end_deg) > SETTLED_SHARE * abs(size_deg))
     # It has settled after the last row outside the band, unless the flight ends outside it.
-    is_settled = not rows_outside.size or rows_outside[-1] < len(completed_share) - 1
-    settling_s = float(t_s[rows_outside[-1] + 1] if rows_outside.size else 0.0) if is_settled else math.nan
-    return StepMetrics(rise_s, 100.0 * max(float(completed_share.max()) - 1.0, 0.0), settling_s)
+    settling_s = 0.0
+    if rows_outside.size:
+        settled_row = int(rows_outside[-1]) + 1
+        settling_s = float(t_s[settled_row]) if settled_row < len(t_s) else math.nan
+    overshoot_share = max(float(completed_share.max()) - 1.0, 0.0)
+    return StepMetrics(rise_s, 100.0 * overshoot_share, settling_s)
 
 
 def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: float) -> Floats:
@@ -359,20 +362,24 @@ def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: f
     # If an axis turns back within a count, or starts or ends in it, the angle may be anywhere in the count.
     # The estimate is then the angle nearest to the end of the step, `end_deg`. Otherwise a coarse encoder
     # would never settle at a setpoint between two of its counts.
-    edges = np.flatnonzero(np.abs(np.diff(angle_deg)) > 0.5 * count_deg) + 1
-    low_deg, high_deg = angle_deg - 0.5 * count_deg, angle_deg + 0.5 * count_deg
+    half_count_deg = 0.5 * count_deg
+    edge_rows = np.flatnonzero(np.abs(np.diff(angle_deg)) > half_count_deg) + 1
+    low_deg, high_deg = angle_deg - half_count_deg, angle_deg + half_count_deg
     nearest_deg: Floats = np.clip(end_deg, low_deg, high_deg)
-    if len(edges) < 3:
-        return nearest_deg
-    edge_s = 0.5 * (t_s[edges - 1] + t_s[edges])
-    edge_deg = 0.5 * (angle_deg[edges - 1] + angle_deg[edges])
+    if len(edge_rows) < 3:
+        return nearest_deg  # a parabola needs three edges
+    edge_s = 0.5 * (t_s[edge_rows - 1] + t_s[edge_rows])
+    edge_deg = 0.5 * (angle_deg[edge_rows - 1] + angle_deg[edge_rows])
     # Cubic Hermite: the slope at an edge is that of the parabola through this edge and its neighbours.
     interval_s, mean_slope = np.diff(edge_s), np.diff(edge_deg) / np.diff(edge_s)
     inner_slope = (mean_slope[:-1] * interval_s[1:] + mean_slope[1:] * interval_s[:-1]) / (
         interval_s[:-1] + interval_s[1:]
     )
     slope = np.concatenate((mean_slope[:1], inner_slope, mean_slope[-1:]))
-    interval = np.clip(np.searchsorted(edges, np.arange(len(t_s)), side="right") - 1, 0, len(edges) - 2)
+    # The interval between edges that each row is in; rows beyond the outermost edges get the nearest one.
+    rows = np.arange(len(t_s))
+    interval = np.clip(np.searchsorted(edge_rows, rows, side="right") - 1, 0, len(interval_s) - 1)
+    # x is 0 at the first edge of the interval, and 1 at its second.
     x, h_s = (t_s - edge_s[interval]) / interval_s[interval], interval_s[interval]
     cubic_deg = (
         (1.0 + 2.0 * x) * (1.0 - x) ** 2 * edge_deg[interval]
@@ -380,9 +387,10 @@ def _between_counts(t_s: Floats, angle_deg: Floats, end_deg: float, count_deg: f
         + x**2 * (3.0 - 2.0 * x) * edge_deg[interval + 1]
         - x**2 * (1.0 - x) * h_s * slope[interval + 1]
     )
-    is_passed = (x >= 0.0) & (x <= 1.0) & (np.sign(mean_slope[interval]) != 0.0)
-    seen_deg: Floats = np.where(is_passed, np.clip(cubic_deg, low_deg, high_deg), nearest_deg)
-    return seen_deg
+    # Where the axis turns back within a count, both edges are the same angle.
+    is_crossed = (x >= 0.0) & (x <= 1.0) & (mean_slope[interval] != 0.0)
+    estimate_deg: Floats = np.where(is_crossed, np.clip(cubic_deg, low_deg, high_deg), nearest_deg)
+    return estimate_deg
 
 
 def rms(values: Floats) -> float:
@@ -400,27 +408,26 @@ def _response(flight: Flight, axis: str) -> Response:
     """Return the metrics of the largest step of an axis, and its RMS tracking error; nan where a flight has
     none.
     """
-    is_commanded, nan = judged_rows(flight, axis), math.nan
-    if not is_commanded.any():
-        return Response(
-            axis, step_s=nan, step_deg=nan, rise_s=nan, overshoot_percent=nan, settling_s=nan, rms_deg=nan
-        )
+    nan = math.nan
+    response = Response(
+        axis, step_s=nan, step_deg=nan, rise_s=nan, overshoot_percent=nan, settling_s=nan, rms_deg=nan
+    )
+    is_judged = judged_rows(flight, axis)
+    if not is_judged.any():
+        return response
     error_rad = getattr(flight, f"{axis}_rad") - getattr(flight, f"{axis}_setpoint_rad")
-    rms_deg = rms(np.rad2deg(error_rad[is_commanded]))
+    response = replace(response, rms_deg=rms(np.rad2deg(error_rad[is_judged])))
     largest = max(steps(flight, axis), key=lambda step: abs(step.size_deg), default=None)
     if largest is None:
-        return Response(
-            axis, step_s=nan, step_deg=nan, rise_s=nan, overshoot_percent=nan, settling_s=nan, rms_deg=rms_deg
-        )
+        return response
     metrics = largest.metrics
-    return Response(
-        axis=axis,
+    return replace(
+        response,
         step_s=largest.start_s,
         step_deg=largest.size_deg,
         rise_s=metrics.rise_s,
         overshoot_percent=metrics.overshoot_percent,
         settling_s=metrics.settling_s,
-        rms_deg=rms_deg,
     )
 
 

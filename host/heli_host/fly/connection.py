@@ -85,6 +85,7 @@ def connect(
             fly_plans=_fly_plans,
         )
     except BaseException:
+        # After an interrupt, too, the port must not stay open.
         session.close()
         raise
 

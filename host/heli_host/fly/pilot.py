@@ -511,15 +511,18 @@ class Pilot:
 
         while newest_tick(session) < end_tick:
             monitor.check(stream.t_s)
-            if self._on_taken_off is not None and newest_tick(session) >= stream.taken_off_tick:
-                taken_off, self._on_taken_off = self._on_taken_off, None
-                taken_off()
+            on_taken_off = self._on_taken_off
+            if on_taken_off is not None and newest_tick(session) >= stream.taken_off_tick:
+                self._on_taken_off = None  # called once only
+                on_taken_off()
             self._start_due_excitations()
             self._reports.report(stream.t_s)
-            due_tick = min([end_tick, *(stream.tick_of(piece) for piece in self._excitations[:1])])
+            due_ticks = [end_tick]
+            if self._excitations:
+                due_ticks.append(stream.tick_of(self._excitations[0]))
             if self._on_taken_off is not None:
-                due_tick = min(due_tick, stream.taken_off_tick)
-            session.wait_for(partial(is_due, due_tick), _LOOK_S)
+                due_ticks.append(stream.taken_off_tick)
+            session.wait_for(partial(is_due, min(due_ticks)), _LOOK_S)
             stream.bridge_a_stall()
         monitor.check(stream.t_s)
 

@@ -44,7 +44,16 @@ from heli_host.data.response import TAKE_OFF
 from heli_host.declaration import AXES, PARAMS, Axis
 from heli_host.errors import PlanError, file_remedy
 from heli_host.fly import route as shapes
-from heli_host.fly.route import ANGLE, PAUSE, RATE, PlanTable, Route, Segment, read_segment
+from heli_host.fly.route import (
+    ANGLE,
+    PAUSE,
+    RATE,
+    PlannedExcitation,
+    PlanTable,
+    Route,
+    Segment,
+    read_segment,
+)
 from heli_host.fly.tracking import Tolerance
 
 _TABLE_MARGIN_DEG = 2.0
@@ -89,39 +98,42 @@ def check_motion(segment: Segment, at_deg: Floats, limits: Limits) -> None:
     """Refuse a segment that the board would refuse, or could not follow. Shapes: `at_deg` (axes,)."""
     motion = segment.motion(at_deg)
     # Rounding errors of a path that just touches a limit are no violation.
-    rounding_deg = 1e-9
+    rounding = 1e-9
     for index, axis in enumerate(AXES):
         key = segment.limit_keys[index]
-        low, high = limits.low_deg[index], limits.high_deg[index]
-        if motion.high_deg[index] > high + rounding_deg:
+        low_deg, high_deg = limits.low_deg[index], limits.high_deg[index]
+        if motion.high_deg[index] > high_deg + rounding:
             raise PlanError(
                 f"{segment.where}: {key} takes {axis} to {motion.high_deg[index]:g} degrees",
-                f"stay at or below {high:g} ({limits.high_names[index]})",
+                f"stay at or below {high_deg:g} ({limits.high_names[index]})",
             )
-        if motion.low_deg[index] < low - rounding_deg:
+        if motion.low_deg[index] < low_deg - rounding:
             raise PlanError(
                 f"{segment.where}: {key} takes {axis} to {motion.low_deg[index]:g} degrees",
-                f"stay at or above {low:g} ({limits.low_names[index]})",
+                f"stay at or above {low_deg:g} ({limits.low_names[index]})",
             )
         rate_deg_s = motion.rate_deg_s[index]
-        if rate_deg_s > limits.slew_deg_s[index] * (1.0 + 1e-9):
+        if rate_deg_s > limits.slew_deg_s[index] * (1.0 + rounding):
             raise PlanError(
                 f"{segment.where}: {segment.rate_key} moves {axis} by {rate_deg_s:.4g} degrees per second",
                 f"the board's {axis}_slew_deg_s is {limits.slew_deg_s[index]:g}; lower the rate, or "
                 "raise that parameter",
             )
-    excitation = segment.excitation
-    if excitation is None:
-        return
+    if segment.excitation is not None:
+        _check_excitation(segment.excitation, segment.where, limits)
+
+
+def _check_excitation(excitation: PlannedExcitation, where: str, limits: Limits) -> None:
+    """Refuse an excitation that is too large or too long for the board."""
     for key, value in (("front_V", excitation.front_V), ("back_V", excitation.back_V)):
         if abs(value) > limits.excitation_max_V:
             raise PlanError(
-                f"{segment.where}: {key} is {value:g}",
+                f"{where}: {key} is {value:g}",
                 f"keep it within {limits.excitation_max_V:g} (excitation_max_V)",
             )
     if excitation.duration_s > limits.excitation_max_s:
         raise PlanError(
-            f"{segment.where}: duration_s is {excitation.duration_s:g}",
+            f"{where}: duration_s is {excitation.duration_s:g}",
             f"keep it within {limits.excitation_max_s:g} (excitation_max_s)",
         )
 
@@ -231,7 +243,10 @@ class Plan:
         name = name or Path(source).stem
         table = PlanTable(values, source, ("title", "axes", "start", "tolerance", "segment"))
         closed_axes = _read_axes(table)
-        commanded_axes = tuple(axis for axis in closed_axes if axis != "pitch" or "travel" not in closed_axes)
+        commanded_axes = closed_axes
+        if "travel" in closed_axes:
+            # The loop of travel commands pitch itself.
+            commanded_axes = tuple(axis for axis in closed_axes if axis != "pitch")
         start = _read_start(values.get("start", {}), source)
         tolerance_table = values.get("tolerance", {})
         if not isinstance(tolerance_table, dict):
@@ -316,6 +331,7 @@ class Plan:
         at_deg = self._start_deg if from_deg is None else from_deg.copy()
         limits = Limits.of(parameters)
         self._check_start(limits)
+        # The take-off, or the way from the plan before, goes to the elevation at which this plan starts.
         at_deg[Axis.ELEVATION] = self.start.elevation_deg
         for segment in self.segments:
             check_motion(segment, at_deg, limits)
@@ -353,9 +369,8 @@ def load_plan(name: str | Path) -> Plan:
     """
     text = str(name)
     if text in plan_names():
-        return Plan.parse(
-            (_built_in_folder() / f"{text}.toml").read_text(encoding="utf-8"), f"plan {text}", text
-        )
+        content = (_built_in_folder() / f"{text}.toml").read_text(encoding="utf-8")
+        return Plan.parse(content, source=f"plan {text}", name=text)
     path = Path(name)
     if not path.exists():
         close = difflib.get_close_matches(text, plan_names(), n=1)
@@ -364,7 +379,7 @@ def load_plan(name: str | Path) -> Plan:
             f"unknown plan {text!r}", f"{hint}give a TOML file, or one of: {', '.join(plan_names())}"
         )
     try:
-        return Plan.parse(decode_text(read_file(path, TOML_BYTES)), str(path), path.stem)
+        return Plan.parse(decode_text(read_file(path, TOML_BYTES)), source=str(path), name=path.stem)
     except UnicodeDecodeError as error:
         raise PlanError(f"{path} is not text in UTF-8", "give a TOML file") from error
     except OSError as error:

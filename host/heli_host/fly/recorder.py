@@ -62,7 +62,7 @@ class Recorder:
         Duration of the flight, for the check of free disk space; 0 if it is unknown [s].
     overwrite : bool
         Write over a file that is there; otherwise it is refused.
-    sealed : str
+    seal_digest : str
         Seal of a flight whose cause is hidden, see `heli_host.data.log.blind`: the log has it in the place of
         address, rig, seed and boot id. Empty for any other flight.
     setup : Mapping of str to str
@@ -84,10 +84,10 @@ class Recorder:
         board_name: str = "",
         duration_s: float = 0.0,
         overwrite: bool = False,
-        sealed: str = "",
+        seal_digest: str = "",
         setup: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        self._sealed = sealed
+        self._seal_digest = seal_digest
         self.path = Path(path)
         self.error: LogError | None = None
         self._heli = heli
@@ -99,12 +99,13 @@ class Recorder:
             self.path,
             start_wall_ns=heli.session.transport.wall_ns(),
             metadata={
-                **({} if sealed else _simulation_record(heli, setup)),
-                "session": self._session_notes(self._session_record(heli, rig_name, plans, board_name)),
+                **({} if seal_digest else _simulation_record(heli, setup)),
+                "session": self._without_hidden_rig(self._session_record(heli, rig_name, plans, board_name)),
                 "parameters": {name: repr(value) for name, value in parameters.items()},
                 "plan": plan_texts(plans),
             },
             rad_per_count=rad_per_count(parameters),
+            # A real board does not wait for the disk; a simulation in lockstep does.
             background=not heli.session.lockstep,
             overwrite=overwrite,
         )
@@ -209,12 +210,12 @@ class Recorder:
         with self._keep_first_failure():
             self._writer.close(last_metadata)
 
-    def _session_notes(self, session: dict[str, str]) -> dict[str, str]:
-        """Return the notes of a session; those of a blind flight without what reveals its rig."""
-        return blind_notes(session, self._sealed) if self._sealed else session
+    def _without_hidden_rig(self, session_record: dict[str, str]) -> dict[str, str]:
+        """Return the record of a session; that of a blind flight without what reveals its rig."""
+        return blind_notes(session_record, self._seal_digest) if self._seal_digest else session_record
 
     def _text_for_log(self, text: str) -> str:
-        return hide(text) if self._sealed else text
+        return hide(text) if self._seal_digest else text
 
     def _present_parameters(self) -> dict[str, float]:
         # A board that has restarted would be asked again, and may be gone.

@@ -399,8 +399,8 @@ def _read_step(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     """Read a segment whose setpoints go to the target at a constant rate, or within a given time."""
     stated_duration_s = table.optional("duration_s", DURATION)
-    rate_deg_s = table.optional("rate_deg_s", RATE)
-    if (stated_duration_s is None) == (rate_deg_s is None):
+    stated_rate_deg_s = table.optional("rate_deg_s", RATE)
+    if (stated_duration_s is None) == (stated_rate_deg_s is None):
         table.fail("it needs duration_s or rate_deg_s, one of them", "add duration_s = 5 or rate_deg_s = 5")
     with_targets = _target_replacer(table, commanded)
 
@@ -408,11 +408,10 @@ def _read_ramp(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
         """Return the ramp from the setpoints `at`, degrees (axes,), to the targets."""
         target_deg = with_targets(at)
         distance_deg = np.abs(target_deg - at)
-        duration_s = (
-            stated_duration_s
-            if stated_duration_s is not None
-            else float(distance_deg.max()) / (rate_deg_s or 1.0)
-        )
+        duration_s = stated_duration_s or 0.0
+        if stated_rate_deg_s is not None:
+            # The axis with the longest way moves at this rate, the others slower.
+            duration_s = float(distance_deg.max()) / stated_rate_deg_s
         # A ramp to the present setpoint still takes a tick, so that its rate is finite.
         duration_s = max(duration_s, TICK_S)
         return _motion_within(
@@ -431,26 +430,27 @@ def _read_sine(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     amplitude_deg = np.array([table.number(f"{axis}_amplitude_deg", ANGLE, 0.0) for axis in AXES])
     if not amplitude_deg.any():
         table.fail("it moves no axis", f"add {commanded[-1]}_amplitude_deg = 5")
-    period_s = np.ones(len(AXES))
+    period_s = np.ones(len(AXES))  # Any number will do for an axis that does not move.
+    shared_period_s = _read_period(table, prefix="")
     for index, axis in enumerate(AXES):
-        axis_period_s = _read_period(table, f"{axis}_")
-        if amplitude_deg[index] == 0.0 and axis_period_s is not None:
-            table.fail(
-                f"{axis} has a period but no amplitude", f"add {axis}_amplitude_deg, or remove the period"
-            )
-        shared_period_s = _read_period(table, "")
+        axis_period_s = _read_period(table, prefix=f"{axis}_")
         if amplitude_deg[index] == 0.0:
+            if axis_period_s is not None:
+                table.fail(
+                    f"{axis} has a period but no amplitude", f"add {axis}_amplitude_deg, or remove the period"
+                )
             continue
-        chosen = axis_period_s if axis_period_s is not None else shared_period_s
-        if chosen is None:
+        axis_period_s = axis_period_s if axis_period_s is not None else shared_period_s
+        if axis_period_s is None:
             table.fail(f"{axis}_period_s is missing", f"add {axis}_period_s or {axis}_frequency_Hz")
-        period_s[index] = chosen
+        period_s[index] = axis_period_s
 
     def motion(at: Floats) -> Motion:
         """Return the sine about the setpoints `at`, degrees (axes,), with its ends faded in and out."""
         reach_deg = np.abs(amplitude_deg)
         rate_deg_s = reach_deg * 2.0 * np.pi / period_s
         fades_s = fade_s(period_s, duration_s)
+        # A short fade adds its own rate to that of the sine; see `fade_s`.
         rate_deg_s += np.where(fades_s < 0.5 * period_s, reach_deg * _SMOOTH_PEAK / fades_s, 0.0)
         shape = sine(at, amplitude_deg, period_s, duration_s)
         return _motion_within(duration_s, shape, at - reach_deg, at + reach_deg, rate_deg_s=rate_deg_s)
@@ -513,7 +513,7 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     """Read a segment through points in time. Each axis has its own points; an axis without any keeps its
     setpoint.
     """
-    smooth = table.choice("path", _SHAPES_OF_PATH, "smooth") == "smooth"
+    is_smooth = table.choice("path", _SHAPES_OF_PATH, "smooth") == "smooth"
     last_s, points_of_axes = _read_points(table, commanded)
     duration_s = table.number("duration_s", DURATION, last_s)
     if duration_s < last_s:
@@ -523,22 +523,26 @@ def _read_waypoints(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
 
     def motion(at: Floats) -> Motion:
         """Return the motion from the setpoints `at`, degrees (axes,), through the points."""
-        times, values = [], []
+        # Each list has an array per axis, of as many elements as the axis has points.
+        times_s, angles_deg = [], []
         for given_points, start_deg in zip(points_of_axes, at, strict=True):
             has_start = bool(given_points) and given_points[0].at_s == 0.0
             points = given_points if has_start else [_AxisPoint(0.0, float(start_deg)), *given_points]
-            times.append(np.array([point.at_s for point in points]))
-            values.append(np.array([point.angle_deg for point in points]))
-        low = np.array([min(value.min(), start) for value, start in zip(values, at, strict=True)])
-        high = np.array([max(value.max(), start) for value, start in zip(values, at, strict=True)])
-        factor = _SMOOTH_PEAK if smooth else 1.0
-        rate_deg_s = np.array(
-            [
-                factor * float(np.max(np.abs(np.diff(value) / np.diff(time_s)), initial=0.0))
-                for time_s, value in zip(times, values, strict=True)
-            ]
+            times_s.append(np.array([point.at_s for point in points]))
+            angles_deg.append(np.array([point.angle_deg for point in points]))
+        slopes_deg_s = [
+            np.diff(axis_deg) / np.diff(axis_s) for axis_s, axis_deg in zip(times_s, angles_deg, strict=True)
+        ]
+        peak_ratio = _SMOOTH_PEAK if is_smooth else 1.0
+        return Motion(
+            duration_s,
+            shape=waypoints(times_s, angles_deg, is_smooth),
+            low_deg=np.minimum([axis_deg.min() for axis_deg in angles_deg], at),
+            high_deg=np.maximum([axis_deg.max() for axis_deg in angles_deg], at),
+            rate_deg_s=np.array(
+                [peak_ratio * float(np.max(np.abs(slopes), initial=0.0)) for slopes in slopes_deg_s]
+            ),
         )
-        return Motion(duration_s, waypoints(times, values, smooth), low, high, rate_deg_s)
 
     return Segment(
         "waypoints",
@@ -580,7 +584,8 @@ def _read_excitation_table(table: PlanTable, duration_s: float) -> PlannedExcita
     back_V = table.number("back_V", VOLTAGE, 0.0)
     if front_V == 0.0 and back_V == 0.0:
         table.fail("it excites no motor", "add front_V = 0.25 or back_V = 0.25")
-    needs_start, needs_stop = signal in ("chirp", "multisine"), signal in ("chirp", "multisine", "prbs")
+    needs_start = signal in ("chirp", "multisine")
+    needs_stop = needs_start or signal == "prbs"
     for key, is_needed in (("start_Hz", needs_start), ("stop_Hz", needs_stop)):
         if key in table.values and not is_needed:
             table.fail(f"{key} has no effect on a {signal}", "remove it")
@@ -591,6 +596,7 @@ def _read_excitation_table(table: PlanTable, duration_s: float) -> PlannedExcita
     if signal == "prbs" and stop_Hz == 0.0:
         table.fail("stop_Hz is 0", "give the rate at which the prbs may switch, such as 10")
     seed = int(table.number("seed", SEED, 1))
+    # From a seed of 0, the board's generator would only return zeros.
     if signal == "prbs" and seed == 0:
         table.fail("seed is 0", "give a whole number from 1")
     return PlannedExcitation(

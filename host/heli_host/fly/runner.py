@@ -48,7 +48,7 @@ def fly(
     land_on_change: bool = False,
     on_taken_off: Callable[[], object] | None = None,
     overwrite: bool = False,
-    sealed: str = "",
+    seal_digest: str = "",
     setup: Mapping[str, str] = MappingProxyType({}),
 ) -> FlightSummary:
     """Take off, fly plans one after the other, land. Blocks until the motors are off and the log is complete.
@@ -86,7 +86,7 @@ def fly(
         True ends the flight in a landing when the twin raises an alarm.
     overwrite : bool
         True replaces an existing log; False refuses to fly if there is one.
-    sealed : str
+    seal_digest : str
         Seal of a flight whose cause is hidden, see `heli_host.data.log.blind`: the log holds it instead of
         address, rig, seed and boot id. Empty for any other flight.
     setup : Mapping of str to str
@@ -119,7 +119,7 @@ def fly(
             board_name=board_name,
             duration_s=route.duration_s,
             overwrite=overwrite,
-            sealed=sealed,
+            seal_digest=seal_digest,
             setup=setup,
         )
         tolerance = Tolerance.widest([plan.tolerance for plan in read_plans])
@@ -146,7 +146,7 @@ def fly(
                 recorder.close(pilot.outcome)
         log = _read_log_or_disk_error(path, recorder)
     # From here on the motors are off and the log is complete, so that an error loses no data.
-    outcome = hide(pilot.outcome) if sealed else pilot.outcome
+    outcome = hide(pilot.outcome) if seal_digest else pilot.outcome
     summary = replace(summarise(log), outcome=outcome, log=str(log_path) if log_path else "")
     if recorder.error is not None and str(recorder.error) not in summary.outcome:
         summary = replace(summary, notes=(*summary.notes, str(recorder.error)))

@@ -112,10 +112,13 @@ class TrackingMonitor:
             if axis not in self.axes or (axis == "pitch" and "travel" in self.axes):
                 continue
             setpoint_deg = np.degrees(CHANNELS[_SETPOINTS[index]].scale) * raw[_SETPOINTS[index]]
-            angle_deg = float(self._deg_per_raw[:, index] @ raw) + setpoint_deg
+            error_deg = float(self._deg_per_raw[:, index] @ raw)
+            angle_deg = setpoint_deg + error_deg
             demanded_deg = float(piece.end_deg[index])
-            reached_deg = [angle_deg] if is_last else [angle_deg, setpoint_deg]
-            if min(abs(reached - demanded_deg) for reached in reached_deg) > self._bound_deg[index]:
+            distance_deg = abs(angle_deg - demanded_deg)
+            if not is_last:
+                distance_deg = min(distance_deg, abs(setpoint_deg - demanded_deg))
+            if distance_deg > self._bound_deg[index]:
                 self._unreached = (
                     f"{NOT_TRACKED}: {axis} was at {angle_deg:.1f} degrees when its {piece.name} to "
                     f"{demanded_deg:g} ended (allowed: {self._bound_deg[index]:g} from it); give the segment "

@@ -102,16 +102,17 @@ class ClockFit:
             self._quickest_in_bin, self._fit_is_old = _Point(tick, host_s), True
             return
         estimate = self._estimate
-        slope_s = estimate.tick_s if estimate is not None else TICK_S
+        tick_s = estimate.tick_s if estimate is not None else TICK_S
         if tick // _BIN_TICKS != quickest.tick // _BIN_TICKS:
+            # The bin of `quickest` is complete, and another one begins.
             self.estimate()
             self._bins.append(quickest)
             self._forget_before_a_step()
             self._hull = _lower_hull(self._bins)
             self._bin_ticks = sum(point.tick for point in self._bins)
             self._quickest_in_bin, self._fit_is_old = _Point(tick, host_s), True
-        elif host_s - quickest.host_s < (tick - quickest.tick) * slope_s:
-            self._quickest_in_bin = _Point(tick, host_s)
+        elif host_s - quickest.host_s < (tick - quickest.tick) * tick_s:
+            self._quickest_in_bin = _Point(tick, host_s)  # it took less time than the quickest
         if estimate is None:
             self._fit_is_old = True
         else:
@@ -119,7 +120,8 @@ class ClockFit:
             self._delays_s.append(delay_s)
             # An arrival on the line or above does not change it; rounding errors are below a microsecond
             # here.
-            self._fit_is_old |= delay_s < estimate.round_trip_s / 2.0 - 1e-6
+            if delay_s < estimate.round_trip_s / 2.0 - 1e-6:
+                self._fit_is_old = True
 
     def observe_pong(self, sent_s: float, tick: int, host_s: float) -> None:
         """Take the answer to a ping."""

@@ -393,16 +393,16 @@ class Handshake:
         if self.is_open or welcome.request != self._hello_request:
             return Welcome.IGNORED
         if welcome.result != Result.OK or welcome.link_hash != LINK_HASH:
+            board_link = f"{welcome.link_major}.{welcome.link_minor}"
+            firmware = f"{welcome.firmware_major}.{welcome.firmware_minor}.{welcome.firmware_patch}"
             self.mismatch = LinkVersionMismatch(
-                LINK_VERSION,
-                LINK_HASH,
-                f"{welcome.link_major}.{welcome.link_minor}",
-                welcome.link_hash,
-                f"{welcome.firmware_major}.{welcome.firmware_minor}.{welcome.firmware_patch}",
+                LINK_VERSION, LINK_HASH, board_link, welcome.link_hash, firmware
             )
             return Welcome.IGNORED
         previous = self.welcome
-        self.is_open, self.welcome, self.unreachable_since_s = True, welcome, None
+        self.welcome = welcome
+        self.is_open = True
+        self.unreachable_since_s = None
         if previous is None:
             return Welcome.FIRST
         self.reconnects += 1

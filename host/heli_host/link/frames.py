@@ -64,34 +64,31 @@ class FrameParser:
         """Process bytes from the board, and return the frames that they complete."""
         self.bytes_received += len(data)
         encoded_frames = (self._partial + data).split(b"\0")
-        self._partial = encoded_frames.pop()
+        self._partial = encoded_frames.pop()  # behind the last delimiter
         frames: list[Frame] = []
-        decode, crc32 = cobs.decode, zlib.crc32
+        decode, crc32 = cobs.decode, zlib.crc32  # looked up once, because every frame passes here
         for encoded in encoded_frames:
             if self._overlong:
+                # The rest of a frame whose beginning was dropped.
                 self._overlong = False
                 self._count_bad(encoded)
                 continue
             if not encoded:
                 self._synchronised = True
                 continue
-            if len(encoded) <= _MAX_ENCODED:
-                try:
-                    decoded = decode(encoded)
-                except cobs.DecodeError:
-                    decoded = b""
-                if (
-                    len(decoded) >= _OVERHEAD_BYTES
-                    and decoded[0] == PROTOCOL
-                    and crc32(decoded) == _CRC_RESIDUE
-                ):
-                    seq = decoded[2]
-                    if seq != self._expected_seq:
-                        self._count_gap(seq)
-                    self._expected_seq = (seq + 1) & 0xFF
-                    frames.append(Frame(decoded[1], seq, decoded[_HEADER_BYTES:-_CRC_BYTES]))
-                    continue
-            self._count_bad(encoded)
+            try:
+                decoded = decode(encoded) if len(encoded) <= _MAX_ENCODED else b""
+            except cobs.DecodeError:
+                decoded = b""
+            is_complete = len(decoded) >= _OVERHEAD_BYTES and decoded[0] == PROTOCOL
+            if not is_complete or crc32(decoded) != _CRC_RESIDUE:
+                self._count_bad(encoded)
+                continue
+            _, message_id, seq = decoded[:_HEADER_BYTES]
+            if seq != self._expected_seq:
+                self._count_gap(seq)
+            self._expected_seq = (seq + 1) & 0xFF
+            frames.append(Frame(message_id, seq, decoded[_HEADER_BYTES:-_CRC_BYTES]))
         if frames:
             self.frames_ok += len(frames)
             self._synchronised = True
@@ -146,12 +143,12 @@ def no_welcome(parser: FrameParser, url: str, timeout_s: float) -> LinkError:
             f"no data came from {url} within {timeout_s:g} s",
             "check power and cable, that it is the programming port, and that the firmware is flashed",
         )
-    everything = parser.excerpt + parser.pending
-    excerpt = everything[-16:]
+    last_bytes = parser.excerpt + parser.pending
+    excerpt = last_bytes[-16:]  # as many as fit into a line
     received_text = f"{parser.bytes_received} bytes (the last: {excerpt.hex(' ')})"
     # A boot loader, a console, or a simulated board with another host sends readable text.
-    last_line = everything.strip(b"\r\n\0").rpartition(b"\n")[2].decode("ascii", errors="replace")
-    if last_line.isascii() and last_line.isprintable() and last_line:
+    last_line = last_bytes.strip(b"\r\n\0").rpartition(b"\n")[2].decode("ascii", errors="replace")
+    if last_line and last_line.isascii() and last_line.isprintable():
         received_text += f", in words {last_line!r},"
     return WrongDevice(
         f"{received_text} came from {url}, but no frame of this link",

@@ -219,6 +219,7 @@ class Driver:
     def pump(self, timeout_s: float) -> None:
         """Read once, process the bytes, send the frames that are due, and call the subscribers."""
         transport, engine = self.transport, self._engine
+        # A simulated board may run faster than real time; in lockstep its time passes by the reads.
         speed = 1.0 if transport.lockstep else engine.telemetry.speed
         set_read_interval(transport, timeout_s if transport.lockstep else self.read_interval_s / speed)
         lost: LinkLost | None = None
@@ -439,6 +440,7 @@ class Session:
         try:
             self._driver.check()
             new_request: Request | None = None
+            # A stop goes ahead of other commands, maybe again between the wait and the lock.
             while new_request is None:
                 self.wait_for(lambda: not self._engine.commands.preempted, step_s=_LOCKSTEP_REPLY_STEP_S)
                 with self._driver.lock:
@@ -580,17 +582,21 @@ class Session:
             lambda: account.last is not None, _FIRST_SAMPLE_TIMEOUT_S
         ):
             raise WaitTimeout("the board sends no samples", "reset it, then connect again")
-        restarts, goal_tick = handshake.restarts, (account.last or 0) + ticks
+        restarts_before, goal_tick = handshake.restarts, (account.last or 0) + ticks
 
-        def has_arrived() -> bool:
-            return handshake.restarts != restarts or (account.last is not None and account.last >= goal_tick)
+        def has_restarted() -> bool:
+            return handshake.restarts != restarts_before
 
-        while self.lockstep and not has_arrived():
+        def has_ended() -> bool:
+            return has_restarted() or (account.last is not None and account.last >= goal_tick)
+
+        # In lockstep, reads that are too long would simulate beyond the goal.
+        while self.lockstep and not has_ended():
             self._driver.check()
-            left_s = (goal_tick - (account.last or 0)) * TICK_S
-            self._driver.pump(min(max(left_s, TICK_S), _LOCKSTEP_STEP_S))
-        self.wait_for(has_arrived)
-        if handshake.restarts != restarts:
+            remaining_s = (goal_tick - (account.last or 0)) * TICK_S
+            self._driver.pump(min(max(remaining_s, TICK_S), _LOCKSTEP_STEP_S))
+        self.wait_for(has_ended)
+        if has_restarted():
             raise LinkLost("the board restarted while the host waited", "check its supply, then arm again")
 
     def subscribe_ticks(self, callback: TicksCallback) -> Unsubscribe:

@@ -103,7 +103,7 @@ class TelemetryDecoder:
         plans: list[_Plan] = []
         valid_payloads: list[bytes] = []
         for payload in payloads:
-            shape = payload[self._layout.shape]
+            shape = payload[self._layout.shape]  # the bytes with the count of ticks and the widths
             plan = self._plans.get(shape)
             if plan is None:
                 plan = self._plan_of_new_shape(shape)
@@ -114,11 +114,13 @@ class TelemetryDecoder:
                 self.malformed += 1
         if not plans:
             return EMPTY_TICKS
-        valid_payloads.append(_PAD)
-        joined = b"".join(valid_payloads)
+        # The words of 32 bits that begin at each byte, because numbers do; the last ones reach into the pad.
+        joined = b"".join([*valid_payloads, _PAD])
         words = np.ndarray((len(joined) - 3,), "<u4", joined, strides=(1,))
         if len(plans) == 1:
-            raw = _extract(words, plans[0].index, plans[0].left, plans[0].right)
+            # The quick way for one batch, which most readings have.
+            (plan,) = plans
+            raw = _extract(words, plan.index, plan.left, plan.right)
             raw[0] &= self._layout.bits
             raw.cumsum(axis=0, dtype=np.int32, out=raw)
             return Ticks(words[0] + np.arange(len(raw), dtype=np.uint32), raw)
@@ -247,7 +249,7 @@ class TickAccount:
         return self._last + (tick - self._last + half_range) % _TICK_MODULUS - half_range
 
     def take(self, ticks: Ticks) -> tuple[Ticks, bool]:
-        """Count samples. Returns `accepted`, `jumped_back`."""
+        """Count samples. Return those before a tick that jumps back, and whether there is such a tick."""
         if len(ticks) == 0:
             return ticks, False
         first, final = int(ticks.tick[0]), int(ticks.tick[-1])
@@ -260,20 +262,18 @@ class TickAccount:
             return ticks, False
         # As signed numbers, steps are right across the wrap at 2^32, shape (n,).
         steps = np.diff(ticks.tick, prepend=np.uint32(before % _TICK_MODULUS)).astype(np.int32)
-        jumped_back = bool(steps.min() <= 0)
-        if jumped_back:
+        has_jumped_back = bool(steps.min() <= 0)
+        if has_jumped_back:
             accepted_count = int(np.argmax(steps <= 0))
             if accepted_count == 0:
                 return EMPTY_TICKS, True
-            ticks, steps = (
-                Ticks(ticks.tick[:accepted_count], ticks.raw[:accepted_count]),
-                steps[:accepted_count],
-            )
-        elapsed = int(steps.sum())
+            ticks = Ticks(ticks.tick[:accepted_count], ticks.raw[:accepted_count])
+            steps = steps[:accepted_count]
+        elapsed_ticks = int(steps.sum())
         self.received += len(ticks)
-        self.lost += elapsed - len(ticks)
-        self._last = before + elapsed
-        return ticks, jumped_back
+        self.lost += elapsed_ticks - len(ticks)
+        self._last = before + elapsed_ticks
+        return ticks, has_jumped_back
 
 
 _MAX_ARRIVED_EVENTS = 64
@@ -306,10 +306,10 @@ class MissedEvents:
         # `ticks`: At least one sample, in order. All events that arrived before them must have been recorded.
         modes = ticks.raw[:, MODES]  # (n, modes)
         if self._tick is None:
-            self._row = modes[0]
+            self._row = modes[0]  # nothing is known about what was before it
         if (modes == self._row).all():
             self._tick = int(ticks.tick[-1])
-            return []
+            return []  # nearly always
         rows = modes[:, _WATCHED_COLUMNS]  # (n, 3)
         before = np.vstack((self._row[_WATCHED_COLUMNS], rows[:-1]))
         missed: list[EventMessage] = []

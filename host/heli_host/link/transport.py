@@ -113,6 +113,7 @@ class SerialTransport:
         if self._fd is not None:
             _keep_dtr_on_close(self._fd)
         if reset_board:
+            # The rising edge of DTR resets a Due.
             self._serial.dtr = False
             time.sleep(_RESET_PULSE_S)
             self._serial.dtr = True

@@ -60,7 +60,8 @@ class FoxgloveFeed:
             "rad_per_count": rad_per_count(dict(heli.params)).tolist(),
         }
         self._send_message(SETTINGS, json.dumps(settings).encode())
-        answer = self._port_from_first_line()
+        # The server answers when viewers can connect, or when it has failed.
+        answer = self._first_answer()
         if "port" not in answer:
             self._end_server()
             raise PortError(
@@ -91,8 +92,8 @@ class FoxgloveFeed:
         self._thread.join(_END_S)
         self._end_server()
 
-    def _port_from_first_line(self) -> dict[str, Any]:
-        """Read the first line of the server: its port, or an error."""
+    def _first_answer(self) -> dict[str, Any]:
+        """Read the first line of the server: its port, or an error; empty if it ends without a line."""
         assert self._server.stdout is not None
         try:
             answer = json.loads(self._server.stdout.readline())

@@ -112,16 +112,16 @@ class _ViewerGate:
                 return
             inner_reader, inner_writer = await asyncio.open_connection(*self._inner)
             inner_writer.write(head)
-            ways = [
+            directions = [
                 asyncio.ensure_future(_copy(reader, inner_writer)),
                 asyncio.ensure_future(_copy(inner_reader, writer)),
             ]
-            _, waiting = await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
-            for way in waiting:
-                way.cancel()
-            await asyncio.gather(*ways, return_exceptions=True)
+            _, waiting = await asyncio.wait(directions, return_when=asyncio.FIRST_COMPLETED)
+            for direction in waiting:
+                direction.cancel()
+            await asyncio.gather(*directions, return_exceptions=True)
         except (OSError, TimeoutError, asyncio.IncompleteReadError, asyncio.LimitOverrunError):
-            pass
+            pass  # a viewer that is gone, or that sends no request
         finally:
             self._viewers.discard(writer)
             writer.close()
@@ -172,7 +172,7 @@ class _FoxgloveServer:
         )
         # The SDK accepts pages of any origin. Viewers reach it through a gate only, because it listens on an
         # address of this computer that no page can guess.
-        self._server, inner_host = _start_hidden(
+        self._server, inner_host = _start_at_secret_address(
             foxglove.start_server,
             name="heli-lab",
             port=0,
@@ -225,8 +225,10 @@ class _FoxgloveServer:
         self._server.stop()
 
 
-def _start_hidden(start_server: Callable[..., Any], **options: Any) -> tuple[Any, str]:
-    """Start a server on a random address of this computer; return it and the address."""
+def _start_at_secret_address(start_server: Callable[..., Any], **options: Any) -> tuple[Any, str]:
+    """Start a server on a random address of this computer; return it and the address. A web page in the
+    user's browser cannot guess the address, so that it cannot go round the gate.
+    """
     # All addresses 127.x.y.z are of this computer. A system that has 127.0.0.1 only gets that one.
     host = f"127.{secrets.randbelow(254) + 1}.{secrets.randbelow(256)}.{secrets.randbelow(254) + 1}"
     try:
@@ -256,7 +258,10 @@ def main() -> None:
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
     received = read_parts(sys.stdin.buffer)
-    _, settings = next(received)
+    first_part = next(received, None)
+    if first_part is None:
+        return  # the feed has ended before it sent the settings
+    _, settings = first_part
     try:
         server = _FoxgloveServer(json.loads(settings))
     except (RuntimeError, ImportError) as error:

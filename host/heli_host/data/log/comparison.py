@@ -16,6 +16,7 @@ from heli_host.declaration import AXES
 from heli_host.errors import LogWriteError
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -44,8 +45,19 @@ HEADS: Final = (
 _COLOURS: Final = ("#0b5fa5", "#d1495b", "#157a4a", "#c98a00", "#6b3fa0", "#4a8c94", "#8a5a3b", "#5b5f66")
 MAX_FLIGHTS: Final = len(_COLOURS)
 """Largest number of flights on one page; each has a colour of its own."""
+_METRIC_FORMATS: Final = {
+    "step_deg": "+.3g",
+    "rise_s": ".2f",
+    "overshoot_percent": ".0f",
+    "settling_s": ".2f",
+    "rms_deg": ".3g",
+}
+"""Metrics of an axis with their formats, in the order of `HEADS`."""
 _WORDS: Final = (0, 1)
 """Columns of a table that hold words; the others hold numbers."""
+_LINE_IN: Final = 0.24
+_PANELS_IN: Final = 9.0
+"""Heights of a line of the table and of all panels [inches]."""
 _POINTS: Final = 4000
 _DPI: Final = 130
 
@@ -78,31 +90,16 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     """Return the cells of the table with the columns `HEADS`; axes without setpoints are omitted."""
     rows = []
     for entry in numbers:
+        label, effort_text = entry["flight"], _number_text(entry["effort_V"], ".2f")
         axes_with_setpoints = {
             axis: metrics for axis, metrics in entry["axis"].items() if not math.isnan(metrics["rms_deg"])
         }
-        for index, (axis, metrics) in enumerate(axes_with_setpoints.items()):
-            rows.append(
-                [
-                    entry["flight"] if index == 0 else "",
-                    axis,
-                    *(
-                        _number_text(metrics[name], form)
-                        for name, form in (
-                            ("step_deg", "+.3g"),
-                            ("rise_s", ".2f"),
-                            ("overshoot_percent", ".0f"),
-                            ("settling_s", ".2f"),
-                            ("rms_deg", ".3g"),
-                        )
-                    ),
-                    _number_text(entry["effort_V"], ".2f") if index == 0 else "",
-                ]
-            )
+        for axis, metrics in axes_with_setpoints.items():
+            cells = [_number_text(metrics[name], form) for name, form in _METRIC_FORMATS.items()]
+            rows.append([label, axis, *cells, effort_text])
+            label, effort_text = "", ""  # only in the first row of a flight
         if not axes_with_setpoints:
-            rows.append(
-                [entry["flight"], "no setpoints", *(["–"] * 5), _number_text(entry["effort_V"], ".2f")]
-            )
+            rows.append([label, "no setpoints", *("–" for _ in _METRIC_FORMATS), effort_text])
     return rows
 
 
@@ -151,27 +148,28 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
     from matplotlib.figure import Figure
 
     rows = comparison_rows(comparison_numbers(flights))
-    table_in = 0.24 * (len(rows) + 2)
-    height_in = 9.0 + table_in
+    table_in = _LINE_IN * (len(rows) + 2)  # the heads, and a line of space
+    height_in = _PANELS_IN + table_in
     figure = Figure(figsize=(12.0, height_in))
-    *angle_panels, volts_panel = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 3, 2])
+    *angle_panels, volts_panel = figure.subplots(len(AXES) + 1, 1, sharex=True, height_ratios=[3, 3, 3, 2])
+    # Space below for the label of the time and the table, and above for the legend.
     figure.subplots_adjust(
         left=0.07, bottom=(table_in + 0.75) / height_in, right=0.985, top=1.0 - 0.5 / height_in, hspace=0.12
     )
     for (label, flight), colour in zip(flights.items(), _COLOURS, strict=False):
         flown = np.flatnonzero(flown_rows(flight))
         t_s = flight.t_s - flight.t_s[flown[0] if flown.size else 0]
-        keep = slice(None, None, max(1, len(flight) // _POINTS))
+        thinned = slice(None, None, max(1, len(flight) // _POINTS))
         for axis, panel in zip(AXES, angle_panels, strict=True):
-            setpoint = getattr(flight, f"{axis}_setpoint_rad")
-            if setpoint is not None:
-                setpoint_deg = np.where(led_rows(flight, axis), np.rad2deg(setpoint), np.nan)
-                dashes = broken_at_gaps(t_s[keep], setpoint_deg[keep])
+            setpoint_rad = getattr(flight, f"{axis}_setpoint_rad")
+            if setpoint_rad is not None:
+                setpoint_deg = np.where(led_rows(flight, axis), np.rad2deg(setpoint_rad), np.nan)
+                dashes = broken_at_gaps(t_s[thinned], setpoint_deg[thinned])
                 panel.plot(*dashes, "--", color=colour, lw=0.9, alpha=0.6)
-            angle_deg = np.rad2deg(getattr(flight, f"{axis}_rad"))[keep]
-            panel.plot(*broken_at_gaps(t_s[keep], angle_deg), color=colour, lw=1.3, label=label)
-        mean_V = flight.voltages_V.mean(axis=1)[keep]
-        volts_panel.plot(*broken_at_gaps(t_s[keep], mean_V), color=colour, lw=0.8)
+            angle_deg = np.rad2deg(getattr(flight, f"{axis}_rad"))[thinned]
+            panel.plot(*broken_at_gaps(t_s[thinned], angle_deg), color=colour, lw=1.3, label=label)
+        mean_V = flight.voltages_V.mean(axis=1)[thinned]  # of both motors
+        volts_panel.plot(*broken_at_gaps(t_s[thinned], mean_V), color=colour, lw=0.8)
     for axis, panel in zip(AXES, angle_panels, strict=True):
         panel.set_ylabel(f"{axis} [deg]")
     volts_panel.set_ylabel("mean of both\nvoltages [V]")
@@ -182,19 +180,26 @@ def figure_of_flights(flights: Mapping[str, Flight]) -> Figure:
     figure.legend(
         *angle_panels[0].get_legend_handles_labels(), loc="upper center", ncols=4, fontsize=9, frameon=False
     )
-    table_axes = figure.add_axes((0.03, 0.1 / height_in, 0.955, table_in / height_in))
+    # In shares of the figure: left, bottom, width, height.
+    _draw_table(figure.add_axes((0.03, 0.1 / height_in, 0.955, table_in / height_in)), rows)
+    return figure
+
+
+def _draw_table(table_axes: Axes, rows: list[list[str]]) -> None:
+    """Draw a table with the columns `HEADS`."""
     table_axes.set_axis_off()
-    widths = [0.24, 0.12, *([0.64 / 6] * 6)]
+    flight_width, axis_width = 0.24, 0.12
+    number_columns = len(HEADS) - len(_WORDS)
+    number_width = (1.0 - flight_width - axis_width) / number_columns
     text_table = table_axes.table(
         cellText=rows,
         colLabels=list(HEADS),
         loc="center",
         cellLoc="center",
         edges="horizontal",
-        colWidths=widths,
+        colWidths=[flight_width, axis_width, *[number_width] * number_columns],
     )
     text_table.auto_set_font_size(False)
     text_table.set_fontsize(8.5)
     for cell in text_table.get_celld().values():
         cell.set_edgecolor("#c9cdd2")
-    return figure

@@ -105,12 +105,13 @@ class DirectFile:
         view = memoryview(data)
         try:
             while view:
+                # The file is unbuffered, and may take only a part.
                 view = view[self._file.write(view) or 0 :]
         except OSError as error:
             raise self._note_failure(error) from error
         self._bytes_written += len(data)
         if self.space_error is not None:
-            return
+            return  # it ends the flight; the first reason counts
         free = free_bytes(self._path.parent)
         if free is not None and free < RESERVED_BYTES:
             self.space_error = LogWriteError(

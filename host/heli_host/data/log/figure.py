@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -47,7 +48,8 @@ _SERIOUS_EVENTS = frozenset(
     }
 )
 _BUCKETS = 3000
-_MIN_SPAN_DEG = 1.0
+_HALF_SPAN_DEG = 1.0
+_STATE_ROW, _PLAN_ROW = 0, 1
 _MAX_GAPS = 200
 _MAX_EVENTS = 40
 _GAP_COLOUR = "#e58b85"
@@ -71,15 +73,16 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.0, 9.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    FigureCanvasAgg(figure)  # draws without a window
     signals = [name for name in flight.meta.get("law_signals", "").split(", ") if name in flight.extra]
-    heights = [0.62, *(3.0 for _ in AXES), *(2.2 for _ in signals[:1]), 2.2]
+    # From above: the band of the strips, the axes, the law's signals in one panel if it has some, voltages.
+    heights = [0.62, *(3.0 for _ in AXES), *([2.2] if signals else []), 2.2]
     rows = figure.subplots(len(heights), 1, sharex=True, gridspec_kw={"height_ratios": heights})
     band, *panels, volts = rows
-    signal_panels = panels[len(AXES) :]
+    axis_panels, signal_panels = panels[: len(AXES)], panels[len(AXES) :]
     t_s = flight.t_s - flight.t_s[0] if len(flight) else flight.t_s
-    for index, panel in enumerate(panels[: len(AXES)]):
-        _draw_axis(panel, flight, t_s, index, summary)
+    for axis, panel in zip(AXES, axis_panels, strict=True):
+        _draw_axis(panel, flight, t_s, axis, summary)
     for panel in signal_panels:
         _draw_signals(panel, flight, t_s, signals)
     _draw_voltages(volts, flight, t_s)
@@ -87,7 +90,7 @@ def draw(flight: Flight, summary: FlightSummary) -> Figure:
     _draw_events((*panels, volts), flight)
     volts.set_xlabel("time since the first logged tick [s]")
     if len(t_s):
-        volts.set_xlim(0.0, max(float(t_s[-1]), 1e-3))
+        volts.set_xlim(0.0, max(float(t_s[-1]), 1e-3))  # a single row has no width
     figure.align_ylabels([*panels, volts])
     figure.suptitle(_headline(summary), fontsize=15, fontweight="bold", x=0.012, ha="left")
     colour = "#444444" if summary.completed or summary.outcome == "recorded" else "#a01820"
@@ -127,26 +130,25 @@ def _count_text(link: Mapping[str, int], name: str, noun: str) -> str:
 
 
 def _draw_axis(
-    panel: Axes, flight: Flight, t_s: NDArray[np.float64], index: int, summary: FlightSummary
+    panel: Axes, flight: Flight, t_s: NDArray[np.float64], axis: str, summary: FlightSummary
 ) -> None:
     """Draw angle and setpoint of an axis [deg] over time [s], with the tracking error as its title."""
-    axis = AXES[index]
-    measured_deg = np.rad2deg(flight.angles_rad[:, index])
+    column = AXES.index(axis)
+    measured_deg = np.rad2deg(flight.angles_rad[:, column])
     setpoints_rad = flight.setpoints_rad
     panel.plot(*_envelope(t_s, measured_deg), color=_MEASURED[axis], lw=1.4, label="measured", zorder=3)
     if setpoints_rad is not None:
+        # The travel loop's pitch setpoint has the steps of the encoder, so it is drawn behind the angle.
+        thin, dashed = {"lw": 0.6, "zorder": 2.5}, {"lw": 1.0, "ls": (0, (5, 2)), "zorder": 4}
         panel.plot(
-            *_envelope(t_s, np.rad2deg(setpoints_rad[:, index])),
+            *_envelope(t_s, np.rad2deg(setpoints_rad[:, column])),
             color=_SETPOINT,
             label="setpoint",
-            # The travel loop's pitch setpoint has the steps of the encoder, so it is drawn behind the angle.
-            **(
-                {"lw": 0.6, "zorder": 2.5} if axis == "pitch" else {"lw": 1.0, "ls": (0, (5, 2)), "zorder": 4}
-            ),
+            **(thin if axis == "pitch" else dashed),
         )
     middle_deg = float(measured_deg.max() + measured_deg.min()) / 2 if len(measured_deg) else 0.0
-    # Wide enough that a count of the encoder does not look like a motion.
-    panel.update_datalim([(0.0, middle_deg - _MIN_SPAN_DEG), (0.0, middle_deg + _MIN_SPAN_DEG)])
+    # The panel covers at least this, so that a count of the encoder does not look like a motion.
+    panel.update_datalim([(0.0, middle_deg - _HALF_SPAN_DEG), (0.0, middle_deg + _HALF_SPAN_DEG)])
     panel.set_ylabel(f"{axis} [°]")
     rms, largest_error = summary.rms_error_deg.get(axis), summary.max_error_deg.get(axis)
     error_text = (
@@ -203,6 +205,7 @@ def _finish_panel(panel: Axes) -> None:
 
 def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArray[np.float64]) -> None:
     """Draw two strips, one with the phases of the plan and one with the board's state; shade the panels."""
+    # Each strip is 1 high, so that its label is at the half.
     band.set_ylim(0.0, 2.0)
     band.set_yticks([0.5, 1.5] if flight.state is not None else [], ["state", "plan"], fontsize=8.5)
     band.tick_params(axis="both", length=0, labelbottom=False)
@@ -210,35 +213,24 @@ def _draw_strips(band: Axes, panels: Sequence[Axes], flight: Flight, t_s: NDArra
         spine.set_visible(False)
     if flight.state is None or not len(flight):
         return
-    stretches = [
-        (float(t_s[start]), float(t_s[min(stop, len(t_s) - 1)]), flight.state_names.get(number, str(number)))
-        for start, stop, number in _state_runs(flight.state)
-    ]
-    for left_s, right_s, name in stretches:
-        colour = _STATE_COLOURS.get(name, "#dddddd")
-        _draw_block(
-            band,
-            left_s,
-            right_s,
-            row=0,
-            text=name.replace("_", " "),
-            colour=colour,
-            total_s=flight.duration_s,
-        )
-        for panel in panels:
-            panel.axvspan(left_s, right_s, color=colour, alpha=0.28, lw=0, zorder=0)
+    draw_block = partial(_draw_block, band, total_s=flight.duration_s)
     phases = [event for event in flight.events if event.name == PHASE_EVENT]
-    starts_s = [_time_in_figure_s(event, flight) for event in phases]
+    phase_starts_s = [_time_in_figure_s(event, flight) for event in phases]
+    motors_off_s = flight.duration_s
+    for start, stop, number in _state_runs(flight.state):
+        start_s, stop_s = float(t_s[start]), float(t_s[min(stop, len(t_s) - 1)])
+        name = flight.state_names.get(number, str(number))
+        colour = _STATE_COLOURS.get(name, "#dddddd")
+        draw_block(start_s, stop_s, row=_STATE_ROW, text=name.replace("_", " "), colour=colour)
+        for panel in panels:
+            panel.axvspan(start_s, stop_s, color=colour, alpha=0.28, lw=0, zorder=0)
+        if name in ("idle", "fault") and start_s > max(phase_starts_s, default=0.0):
+            motors_off_s = min(motors_off_s, start_s)
     # The last phase, usually a landing, ends when the motors are off.
-    motors_off_s = [
-        left_s
-        for left_s, _, name in stretches
-        if name in ("idle", "fault") and left_s > max(starts_s, default=0)
-    ]
-    ends_s = [*starts_s[1:], min(motors_off_s, default=flight.duration_s)]
-    for event, start_s, end_s in zip(phases, starts_s, ends_s, strict=False):
-        colour = "#f2f2f2" if event.text in (TAKE_OFF, LANDING) else "#c9d9ea"
-        _draw_block(band, start_s, end_s, row=1, text=event.text, colour=colour, total_s=flight.duration_s)
+    phase_ends_s = [*phase_starts_s[1:], motors_off_s]
+    for phase, start_s, end_s in zip(phases, phase_starts_s, phase_ends_s, strict=False):
+        colour = "#f2f2f2" if phase.text in (TAKE_OFF, LANDING) else "#c9d9ea"
+        draw_block(start_s, end_s, row=_PLAN_ROW, text=phase.text, colour=colour)
 
 
 def _draw_block(

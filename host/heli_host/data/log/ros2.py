@@ -101,17 +101,22 @@ def export_ros2(flight: Flight, path: str | Path) -> None:
                 schema_id = writer.register_schema(name, SchemaEncoding.ROS2, schema.encode())
                 return int(writer.register_channel(topic, MessageEncoding.CDR, schema_id))
 
-            tick = channel(TICK_TOPIC, "heli_host/msg/Tick", _tick_schema(flight, columns))
-            event = channel(EVENT_TOPIC, "rcl_interfaces/msg/Log", _EVENT_SCHEMA)
-            parameter = channel(PARAMETER_TOPIC, "heli_host/msg/Parameter", _PARAMETER_SCHEMA)
+            def add_message(channel_id: int, time_ns: int, data: bytes) -> None:
+                writer.add_message(channel_id, log_time=time_ns, data=data, publish_time=time_ns)
+
+            tick_channel = channel(TICK_TOPIC, "heli_host/msg/Tick", _tick_schema(flight, columns))
+            event_channel = channel(EVENT_TOPIC, "rcl_interfaces/msg/Log", _EVENT_SCHEMA)
+            parameter_channel = channel(PARAMETER_TOPIC, "heli_host/msg/Parameter", _PARAMETER_SCHEMA)
             first_ns = _to_ns(flight.t_s[0]) if len(flight) else 0
             for name, value in flight.parameters.items():
-                body = _encode_string(name)
-                data = _CDR + body + bytes(-len(body) % 8) + struct.pack("<d", value)
-                writer.add_message(parameter, first_ns, data, first_ns)
+                name_field = _encode_string(name)
+                padding = bytes(-len(name_field) % 8)  # CDR aligns a float64 to its size
+                add_message(
+                    parameter_channel, first_ns, _CDR + name_field + padding + struct.pack("<d", value)
+                )
             for message in _messages_in_order(flight, columns):
-                topic = event if message.is_event else tick
-                writer.add_message(topic, message.time_ns, message.data, message.time_ns)
+                channel_id = event_channel if message.is_event else tick_channel
+                add_message(channel_id, message.time_ns, message.data)
             notes = {name: str(value) for name, value in flight.meta.items()}
             writer.add_metadata("notes", notes)
             writer.add_metadata("names", {field: name for name, field in fields.items()})

@@ -64,7 +64,9 @@ DATA_END_BYTES = RECORD_HEADER.size + 4
 PARSE_ERRORS = (McapError, ValueError, struct.error)
 """Exceptions of the mcap library for a damaged record."""
 
-_FOOTER_BYTES = RECORD_HEADER.size + 20
+_FOOTER_BODY_BYTES = 20
+_FOOTER_BYTES = RECORD_HEADER.size + _FOOTER_BODY_BYTES
+_CRC_BYTES = 4
 _MAGIC = bytes(MCAP0_MAGIC)
 
 
@@ -80,25 +82,29 @@ class Index:
 
 
 def read_index(data: memoryview) -> Index | None:
-    """Read the index of a file."""
+    """Read the index of a file; None if the file has no index, or a damaged one."""
+    # A complete file ends with a summary, which is the index, a footer and the magic bytes.
     footer_start = len(data) - len(_MAGIC) - _FOOTER_BYTES
     if footer_start < 0 or data[-len(_MAGIC) :] != _MAGIC:
         return None
-    if RECORD_HEADER.unpack_from(data, footer_start) != (Opcode.FOOTER, _FOOTER_BYTES - RECORD_HEADER.size):
+    if RECORD_HEADER.unpack_from(data, footer_start) != (Opcode.FOOTER, _FOOTER_BODY_BYTES):
         return None
-    footer = parse(Footer, data[footer_start + RECORD_HEADER.size :][:20])
-    start = footer.summary_start
+    body_start = footer_start + RECORD_HEADER.size
+    footer = parse(Footer, data[body_start : body_start + _FOOTER_BODY_BYTES])
+    summary_start = footer.summary_start
+    if not len(_MAGIC) <= summary_start <= footer_start:
+        return None
     # The CRC covers the bytes from the start of the summary to the field of the CRC.
-    checked = data[start : footer_start + _FOOTER_BYTES - 4]
-    if not len(_MAGIC) <= start <= footer_start or footer.summary_crc != zlib.crc32(checked):
+    covered = data[summary_start : footer_start + _FOOTER_BYTES - _CRC_BYTES]
+    if footer.summary_crc != zlib.crc32(covered):
         return None
     records: dict[type, list[Any]] = defaultdict(list)
     try:
-        for record in StreamReader(io.BytesIO(data[start:]), skip_magic=True).records:
+        for record in StreamReader(io.BytesIO(data[summary_start:]), skip_magic=True).records:
             records[type(record)].append(record)
     except PARSE_ERRORS:
         return None
-    data_end = start - DATA_END_BYTES
+    data_end = summary_start - DATA_END_BYTES
     offsets = {chunk.chunk_start_offset for chunk in records[ChunkIndex]}
     offsets |= {metadata.offset for metadata in records[MetadataIndex]} | {data_end}
     return Index(
@@ -107,7 +113,9 @@ def read_index(data: memoryview) -> Index | None:
         schemas=tuple(records[Schema]),
         channels=tuple(records[Channel]),
         message_counts={
-            k: v for statistics in records[Statistics] for k, v in statistics.channel_message_counts.items()
+            channel: count
+            for statistics in records[Statistics]
+            for channel, count in statistics.channel_message_counts.items()
         },
     )
 
@@ -244,6 +252,7 @@ class Scan:
     def run(self) -> None:
         """Walk the whole file."""
         self._refuse_joined_logs()
+        # With the index, ticks are readable even if the schemas at the head are damaged.
         self._index = read_index(self.data)
         for schema in self._index.schemas if self._index else ():
             self._schemas[schema.id] = schema
@@ -261,7 +270,7 @@ class Scan:
                 self._lost.append((position, next_position))
                 position = next_position
         if not self.closed and position == len(self.data):
-            self._note_early_end(position)
+            self._note_early_end(position)  # cut exactly between two records
         self._check_description()
         self._merge_intact_metadata()
         self._note_damage()
@@ -297,6 +306,7 @@ class Scan:
         elif opcode == Opcode.METADATA:
             self._add_metadata(_parse_all_bytes(Metadata, body), position)
         elif opcode == Opcode.MESSAGE_INDEX:
+            # Its content is not needed, but a wrong length would lead to a wrong next record.
             if length < _MESSAGE_INDEX.size or _stated_entries_bytes(body) != length - _MESSAGE_INDEX.size:
                 raise _NotARecord
         elif opcode == Opcode.DATA_END:

@@ -123,15 +123,17 @@ def parse_layout(text: str) -> MessageLayout:
             continue
         constant = _CONSTANT.fullmatch(line)
         if constant is not None:
-            constants[constant.group(2)] = int(constant.group(3))
+            _, name, value = constant.groups()
+            constants[name] = int(value)
             continue
         match = _FIELD.fullmatch(line)
-        code = _TYPES.get(match.group(1)) if match is not None else None
-        if match is None or code is None or match.group(2) in names:
+        type_name, name = match.groups() if match is not None else ("", "")
+        code = _TYPES.get(type_name)
+        if code is None or name in names:
             raise LogError(f"the log's schema has the line {line[:60]!r}", "give a log written by heli-host")
         size = np.dtype(code).itemsize
-        offset = -(-end // size) * size
-        names.append(match.group(2))
+        offset = end + -end % size  # CDR aligns each number to its size
+        names.append(name)
         formats.append(code)
         offsets.append(offset)
         end = offset + size

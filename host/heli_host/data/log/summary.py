@@ -149,11 +149,13 @@ def summarise(log: Log) -> FlightSummary:
             if len(led_deg) and axis in closed_axes:
                 rms_deg[axis] = round(rms(led_deg), 4)
                 max_deg[axis] = round(float(np.max(np.abs(led_deg))), 4)
-    outcome = result.get("outcome") or (
-        "recorded"
-        if log.complete
-        else "not closed: the host ended, or could write no more, before the flight ended"
-    )
+    outcome = result.get("outcome")
+    if not outcome:
+        outcome = (
+            "recorded"
+            if log.complete
+            else "not closed: the host ended, or could write no more, before the flight ended"
+        )
     return FlightSummary(
         outcome=outcome,
         duration_s=float(log.ticks["t_s"][-1] - log.ticks["t_s"][0]) if len(log.ticks) else 0.0,

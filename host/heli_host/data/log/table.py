@@ -55,13 +55,13 @@ class _Lines:
     names: tuple[str, ...]
     body: bytes
     first_line: int
-    note_lines: tuple[int, ...]
+    skipped_lines: tuple[int, ...]
 
     def line_of(self, row: int) -> int:
         """Line of the file, counted from 1, that holds a row counted from 0."""
         line = self.first_line + row
-        for note_line in self.note_lines:
-            if note_line <= line:
+        for skipped_line in self.skipped_lines:
+            if skipped_line <= line:
                 line += 1
         return line
 
@@ -91,17 +91,17 @@ def write_csv(flight: Flight, path: str | Path, *, notes_inside: bool = False) -
     columns = flight.columns()
     row_format = ",".join(_FORMATS.get(name, _NUMBER_FORMAT) for name in columns) + "\n"
     notes = _note_lines(flight)
-    inside = [f"# {line}" for line in notes] if notes_inside else []
+    comment_lines = [f"# {line}" for line in notes] if notes_inside else []
     table = np.column_stack([column.astype(np.float64) for column in columns.values()])
     try:
         with replacing(path) as unfinished, unfinished.open("wb") as file:
             if path.name.lower().endswith(".gz"):
                 # Without name and date in its header, the same flight compresses to the same bytes.
                 with gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=file, mtime=0) as packed:
-                    _write_rows(packed, inside, list(columns), row_format, table)
+                    _write_rows(packed, comment_lines, list(columns), row_format, table)
                     size = packed.tell()
             else:
-                _write_rows(file, inside, list(columns), row_format, table)
+                _write_rows(file, comment_lines, list(columns), row_format, table)
                 size = file.tell()
         notes_file = notes_path(path)
         if not path.is_file():
@@ -164,7 +164,7 @@ def _read_bytes(path: Path) -> bytes:
         return data
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
-            data = packed.read(MAX_TABLE_BYTES + 1)
+            data = packed.read(MAX_TABLE_BYTES + 1)  # a byte more shows that there are too many
     except EOFError as error:
         raise FlightDataError(
             f"{path}: the compressed file ends early", "copy or download it again"
@@ -190,12 +190,12 @@ def _split_lines(data: bytes, path: Path) -> _Lines:
     if data.count(b"\n") > MAX_LINES:
         raise FlightDataError(f"{path} has more than {MAX_LINES} lines", "cut it into pieces")
     notes: list[str] = []
-    header, position, number = "", 0, 0
+    header, position, lines_read = "", 0, 0
     while position < len(data):
         end = data.find(b"\n", position)
         end = len(data) if end < 0 else end
         line = data[position:end].decode("utf-8", errors="replace").strip()
-        position, number = end + 1, number + 1
+        position, lines_read = end + 1, lines_read + 1
         if line.startswith("#"):
             notes.append(line[1:].removeprefix(" "))
         elif line:
@@ -207,19 +207,21 @@ def _split_lines(data: bytes, path: Path) -> _Lines:
             f"{path} has more than {MAX_TABLE_COLUMNS} columns", "remove columns that are not needed"
         )
     names = tuple(name.strip().strip('"') for name in header.split(","))
+    first_line = lines_read + 1
+    # Nearly all tables have rows only, which need not be split here.
     if b"#" not in body and b"\n\n" not in body:
-        return _Lines(tuple(notes), names, body, number + 1, ())
+        return _Lines(tuple(notes), names, body, first_line, skipped_lines=())
     row_lines: list[bytes] = []
-    note_lines: list[int] = []
-    for offset, line_bytes in enumerate(body.split(b"\n")):
-        if line_bytes.lstrip().startswith(b"#"):
-            notes.append(line_bytes.lstrip()[1:].decode("utf-8", errors="replace").strip())
-            note_lines.append(number + 1 + offset)
-        elif line_bytes.strip():
+    skipped_lines: list[int] = []
+    for number, line_bytes in enumerate(body.split(b"\n"), first_line):
+        stripped = line_bytes.strip()
+        if stripped and not stripped.startswith(b"#"):
             row_lines.append(line_bytes)
-        else:
-            note_lines.append(number + 1 + offset)
-    return _Lines(tuple(notes), names, b"\n".join(row_lines), number + 1, tuple(note_lines))
+            continue
+        skipped_lines.append(number)
+        if stripped:
+            notes.append(stripped[1:].decode("utf-8", errors="replace").strip())
+    return _Lines(tuple(notes), names, b"\n".join(row_lines), first_line, tuple(skipped_lines))
 
 
 def _check_names(names: tuple[str, ...], path: Path) -> None:
@@ -266,24 +268,25 @@ def _read_numbers(lines: _Lines, path: Path) -> tuple[NDArray[np.float64], tuple
     """
     if not lines.body.strip():
         raise FlightDataError(f"{path}: no rows below the column names", "record a flight into it first")
-    keep = list(range(len(lines.names)))
+    numeric_columns = list(range(len(lines.names)))
+    # Parsed again without each column that turns out to be text.
     while True:
-        names = tuple(lines.names[column] for column in keep)
+        names = tuple(lines.names[column] for column in numeric_columns)
         try:
-            return _parse_columns(lines.body, len(lines.names), keep), names
+            return _parse_columns(lines.body, len(lines.names), numeric_columns), names
         except ValueError as error:
-            bad = _find_bad_cell(lines, keep)
+            bad = _find_bad_cell(lines, numeric_columns)
             if bad is None:
                 raise FlightDataError(f"{path}: {error}", "correct the table") from error
             line = lines.where(bad.row)
-            if bad.column is None:
+            if bad.column is None:  # the row has another number of columns
                 raise FlightDataError(
                     f"{path}: {line} has {bad.text} columns, the header {len(lines.names)}",
                     "complete or remove that line",
                 ) from error
             name = lines.names[bad.column]
             if name not in OWN_COLUMNS:
-                keep.remove(bad.column)
+                numeric_columns.remove(bad.column)
                 continue
             if bad.text == name:
                 raise FlightDataError(
@@ -330,6 +333,22 @@ def _find_bad_cell(lines: _Lines, keep: list[int]) -> _BadCell | None:
 
 def _flight_of_columns(columns: dict[str, NDArray[np.float64]], notes: tuple[str, ...]) -> Flight:
     """Build a flight from columns and notes, which contain parameters, names of states, events and plan."""
+    attributes: dict[str, Any] = {
+        name: np.ascontiguousarray(columns[name])
+        for name in REQUIRED_COLUMNS + SETPOINT_COLUMNS
+        if name in columns
+    }
+    extra: dict[str, NDArray[np.float64]] = {}
+    for name, column in columns.items():
+        if name in STATUS_COLUMNS and _fits_a_byte(column):
+            attributes[name] = column.astype(np.uint8)
+        elif name not in attributes:
+            extra[name] = np.ascontiguousarray(column)
+    return Flight(**attributes, extra=extra, **_attributes_of_notes(notes))
+
+
+def _attributes_of_notes(notes: tuple[str, ...]) -> dict[str, Any]:
+    """Return the attributes of a flight that its notes contain. Notes in no known form are in `meta`."""
     meta: dict[str, str] = {}
     other_notes: list[str] = []
     plan: list[str] = []
@@ -344,42 +363,29 @@ def _flight_of_columns(columns: dict[str, NDArray[np.float64]], notes: tuple[str
         if match is None:
             other_notes.append(note)
             continue
-        key, value = match.group(1), match.group(2)
+        key, value = match.groups()
         prefix, _, name = key.partition(".")
         if prefix == "parameter" and name and _is_number(value):
             parameters[name] = float(value)
         elif prefix in names and name.isascii() and name.isdigit():
             names[prefix][int(name)] = value
         elif prefix == "event" and name and _is_number(value.partition(" ")[0]):
-            moment, _, text = value.partition(" ")
-            events.append(FlightEvent(float(moment), name, text))
+            time_text, _, text = value.partition(" ")
+            events.append(FlightEvent(float(time_text), name, text))
         elif key in meta:
-            other_notes.append(note)
+            other_notes.append(note)  # the first note of a name gives the value
         else:
             meta[key] = value
     if other_notes:
         meta["notes"] = "\n".join(other_notes)
-    flight_columns: dict[str, Any] = {
-        name: np.ascontiguousarray(columns[name])
-        for name in REQUIRED_COLUMNS + SETPOINT_COLUMNS
-        if name in columns
+    return {
+        "state_names": names["state"],
+        "fault_names": names["fault"],
+        "events": tuple(events),
+        "parameters": parameters,
+        "plan": "\n".join(plan) + "\n" if plan else "",
+        "meta": meta,
     }
-    extra: dict[str, NDArray[np.float64]] = {}
-    for name, column in columns.items():
-        if name in STATUS_COLUMNS and _fits_a_byte(column):
-            flight_columns[name] = column.astype(np.uint8)
-        elif name not in flight_columns:
-            extra[name] = np.ascontiguousarray(column)
-    return Flight(
-        **flight_columns,
-        state_names=names["state"],
-        fault_names=names["fault"],
-        events=tuple(events),
-        parameters=parameters,
-        plan="\n".join(plan) + "\n" if plan else "",
-        extra=extra,
-        meta=meta,
-    )
 
 
 def _fits_a_byte(column: NDArray[np.float64]) -> bool:

@@ -114,6 +114,7 @@ _MESSAGE_HEADER = struct.Struct("<BQHIQQ")
 _INDEX_HEADER = struct.Struct("<BQHI")
 _INDEX_ENTRY = np.dtype([("log_time_ns", "<u8"), ("offset", "<u8")])
 _FOOTER_START = struct.Struct("<BQQQ")
+_FOOTER_BODY_BYTES = 20
 _TICK_RECORD = tick_record(TICK_LAYOUT)
 
 _SCHEMAS = (
@@ -201,21 +202,21 @@ class McapBytes:
         self._metadata_indexes.append(MetadataIndex(offset=file_offset, length=len(data), name=name))
         return data
 
-    def chunk(self, unjoined: Iterable[TickBatch | JsonMessage], file_offset: int) -> bytes:
-        """Return a compressed chunk, followed by its index."""
+    def chunk(self, messages: Iterable[TickBatch | JsonMessage], file_offset: int) -> bytes:
+        """Return a compressed chunk, which begins at `file_offset`, followed by its index."""
         blocks: list[bytes] = []
-        index: dict[int, list[NDArray[Any]]] = {}
-        offset = 0
-        for message in _join_batches(unjoined):
+        entries_of_blocks: dict[int, list[NDArray[Any]]] = {}  # by channel
+        block_offset = 0
+        for message in _join_batches(messages):
             if isinstance(message, JsonMessage):
-                channel, (entries, block) = message.channel, self._json_message(message, offset)
+                channel, (entries, block) = message.channel, self._json_message(message, block_offset)
             else:
-                channel, (entries, block) = TICK_CHANNEL, self._tick_messages(message, offset)
-            index.setdefault(channel, []).append(entries)
+                channel, (entries, block) = TICK_CHANNEL, self._tick_messages(message, block_offset)
+            entries_of_blocks.setdefault(channel, []).append(entries)
             blocks.append(block)
-            offset += len(block)
+            block_offset += len(block)
         body = b"".join(blocks)
-        indexes = {channel: np.concatenate(entries) for channel, entries in sorted(index.items())}
+        indexes = {channel: np.concatenate(entries) for channel, entries in sorted(entries_of_blocks.items())}
         first_ns = min(int(entries["log_time_ns"].min()) for entries in indexes.values())
         last_ns = max(int(entries["log_time_ns"].max()) for entries in indexes.values())
         packed = self._compressor.compress(body)
@@ -228,32 +229,26 @@ class McapBytes:
             uncompressed_crc=zlib.crc32(body),
             uncompressed_size=len(body),
         ).write(builder)
-        data = builder.data()
-        chunk_bytes = len(data)
-        index_offsets: dict[int, int] = {}
-        for channel, entries in indexes.items():
-            index_offsets[channel] = file_offset + len(data)
-            # The record's length counts the channel (2 bytes) and the length of the entries (4 bytes) too.
-            length = 2 + 4 + entries.nbytes
-            data += _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, channel, entries.nbytes)
-            data += entries.tobytes()
-            self._message_counts[channel] = self._message_counts.get(channel, 0) + len(entries)
+        chunk = builder.data()
+        index_records, index_offsets = _message_index_records(indexes, file_offset + len(chunk))
         self._chunk_indexes.append(
             ChunkIndex(
                 chunk_start_offset=file_offset,
-                chunk_length=chunk_bytes,
+                chunk_length=len(chunk),
                 compression="zstd",
                 compressed_size=len(packed),
                 uncompressed_size=len(body),
                 message_start_time=first_ns,
                 message_end_time=last_ns,
-                message_index_length=len(data) - chunk_bytes,
+                message_index_length=len(index_records),
                 message_index_offsets=index_offsets,
             )
         )
+        for channel, entries in indexes.items():
+            self._message_counts[channel] = self._message_counts.get(channel, 0) + len(entries)
         self._first_ns = first_ns if self._first_ns is None else min(self._first_ns, first_ns)
         self._last_ns = max(self._last_ns, last_ns)
-        return data
+        return chunk + index_records
 
     def _tick_messages(self, batch: TickBatch, offset: int) -> tuple[NDArray[Any], bytes]:
         """Return ticks as MCAP messages: their entries in the index, and their bytes."""
@@ -317,14 +312,17 @@ class McapBytes:
             group_start = builder.count
             for record in records:
                 record.write(builder)
-            if builder.count > group_start:
-                length = builder.count - group_start
+            length = builder.count - group_start
+            if length:
                 offsets.append(SummaryOffset(opcode, summary_start + group_start, length))
         summary_offset_start = summary_start + builder.count
         for offset in offsets:
             offset.write(builder)
         summary = builder.data()
-        footer_start = _FOOTER_START.pack(Opcode.FOOTER, 20, summary_start, summary_offset_start)
+        # The CRC covers the summary and the footer up to the CRC itself.
+        footer_start = _FOOTER_START.pack(
+            Opcode.FOOTER, _FOOTER_BODY_BYTES, summary_start, summary_offset_start
+        )
         crc = zlib.crc32(footer_start, zlib.crc32(summary))
         Footer(summary_start=summary_start, summary_offset_start=summary_offset_start, summary_crc=crc).write(
             builder
@@ -343,30 +341,44 @@ def _metadata(name: str, values: Mapping[str, str]) -> bytes:
     return builder.data()
 
 
+def _message_index_records(
+    indexes: Mapping[int, NDArray[Any]], file_offset: int
+) -> tuple[bytes, dict[int, int]]:
+    """Return the records with the index of each channel, and the place of each record in the file."""
+    data = b""
+    offsets: dict[int, int] = {}
+    for channel, entries in indexes.items():
+        offsets[channel] = file_offset + len(data)
+        # The record's length counts the channel (2 bytes) and the length of the entries (4 bytes) too.
+        length = 2 + 4 + entries.nbytes
+        data += _INDEX_HEADER.pack(Opcode.MESSAGE_INDEX, length, channel, entries.nbytes)
+        data += entries.tobytes()
+    return data, offsets
+
+
 def _join_batches(unjoined: Iterable[TickBatch | JsonMessage]) -> list[TickBatch | JsonMessage]:
     """Join neighbouring batches of ticks, so that numpy works on one array instead of fifty."""
     joined: list[TickBatch | JsonMessage] = []
-    run: list[TickBatch] = []
+    neighbours: list[TickBatch] = []
 
-    def close_run() -> None:
-        """Join the batches of ticks that follow each other into one."""
-        if run:
+    def join_neighbours() -> None:
+        if neighbours:
             joined.append(
                 TickBatch(
-                    np.concatenate([batch.time_us for batch in run]),
-                    np.concatenate([batch.tick for batch in run]),
-                    np.concatenate([batch.raw for batch in run]),
+                    time_us=np.concatenate([batch.time_us for batch in neighbours]),
+                    tick=np.concatenate([batch.tick for batch in neighbours]),
+                    raw=np.concatenate([batch.raw for batch in neighbours]),
                 )
             )
-            run.clear()
+            neighbours.clear()
 
     for message in unjoined:
         if isinstance(message, TickBatch):
-            run.append(message)
+            neighbours.append(message)
         else:
-            close_run()
+            join_neighbours()
             joined.append(message)
-    close_run()
+    join_neighbours()
     return joined
 
 
@@ -409,14 +421,15 @@ class LogWriter:
         self._bytes = McapBytes(start_wall_ns, rad_per_count, level)
         self._pending: list[TickBatch | JsonMessage] = []
         self._pending_ticks = 0
+        # Batches without a time yet: tick (n,), raw (n, channels). Times are computed for many at once.
         self._untimed: list[tuple[NDArray[np.uint32], NDArray[np.int32]]] = []
         self._closed = False
-        self._data_crc = 0
+        self._data_crc = 0  # of all bytes before the record that ends the data
         self._lock = threading.RLock()
         self._last_tick = 0
-        self._dropping = 0
-        kind = BackgroundFile if background else DirectFile
-        self._file: LogFile = kind(self.path, last_record=last_record, overwrite=overwrite)
+        self._unreported_drops = 0  # dropped ticks that no event of the log states yet
+        file_type = BackgroundFile if background else DirectFile
+        self._file: LogFile = file_type(self.path, last_record=last_record, overwrite=overwrite)
         try:
             self._append_records(self._bytes.head())
             for name, values in metadata.items():
@@ -530,15 +543,15 @@ class LogWriter:
             self.write_event(
                 self._last_tick, DISK_BLOCKED, f"the disk blocked for {stall_s:.1f} s", LEVEL_WARNING
             )
-        if self._dropping and self._file.has_room:
-            text = f"{self._dropping} ticks were not logged: more waited for the disk than may"
-            self._dropping = 0
+        if self._unreported_drops and self._file.has_room:
+            text = f"{self._unreported_drops} ticks were not logged: more waited for the disk than may"
+            self._unreported_drops = 0
             self.write_event(self._last_tick, TICKS_DROPPED, text, LEVEL_ERROR)
 
     def _drop_pending_ticks(self, pending: list[TickBatch | JsonMessage]) -> None:
         """Discard pending ticks and count them, because the disk is blocked; keep the newest messages."""
         dropped_ticks = sum(int(part.tick.size) for part in pending if isinstance(part, TickBatch))
-        self._dropping += dropped_ticks
+        self._unreported_drops += dropped_ticks
         self._counters.ticks_dropped += dropped_ticks
         self._counters.ticks_logged -= dropped_ticks
         self._counters.ticks_lost += dropped_ticks

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,8 @@ MAX_MISSING = 5.0
 """Longest gap, in median steps, that is filled in. After a longer gap, another flight begins."""
 _GAP_STEPS = 1.75
 """Step, in median steps, from which a row is missing: one missing row doubles the step, and clocks jitter."""
+_ROUNDED_STEPS = 1.5
+"""Distance from even times, in median steps, below which times were only rounded, by up to a step."""
 _JUMP_DEG = 8.0
 _JUMP_DEG_S = 600.0
 """A step of an angle above both limits ends a flight, because the encoder was set to zero or two logs were
@@ -128,6 +130,7 @@ def flights_of(table: Table, profile: Profile) -> list[Flight]:
 def convert(table: Table, profile: Profile) -> Conversion:
     """Convert a table to flights, and count every row that is left out, filled in or moved."""
     table, t_s = _settled(table, profile)
+    # A change adds rows, or leaves some out, which is a negative number.
     file_rows = len(table) - sum(change.added for change in table.changes)
     rows = _read_rows(table, profile, t_s)
     if profile.mirrored:
@@ -144,11 +147,7 @@ def convert(table: Table, profile: Profile) -> Conversion:
         recorded = rows.selected(stretch)
         even = _evenly_sampled(recorded)
         resampled.append(_Resampling(recorded.t_s, even.t_s))
-        notes = _notes_of_file(table, part)
-        if stretch.start:
-            falls = rows.t_s[stretch.start] < rows.t_s[stretch.start - 1]
-            jump = "" if falls else jumps.get(stretch.start, "")
-            notes["cut"] = jump or _break_note(rows.t_s, stretch.start)
+        notes = _notes_of_file(table, part) | _cut_note(rows.t_s, stretch.start, jumps)
         notes |= _gap_note(recorded.t_s, len(even.t_s))
         voltages_V = {f"{motor}_V": volts for motor, volts in even.voltages_V.items()}
         columns: dict[str, Any] = {**voltages_V, **even.angles_rad}
@@ -212,25 +211,20 @@ def _too_few_rows(table: Table, profile: Profile) -> FlightDataError:
 
 def _without_spikes(table: Table, t_s: Floats, profile: Profile) -> tuple[Table, Floats]:
     """Leave out rows in which a value jumps away and back, as damaged digits do; no arm moves like that."""
-    is_spike = np.zeros(t_s.size, bool)
-    names: list[str] = []
+    spikes_of_column: list[tuple[str, Booleans]] = []
     for angle in profile.angles.values():
         angle_rad = angle.rad * table.columns[angle.column].values
-        turn_rad = WORD * angle.rad if angle.unit == COUNT else 2.0 * np.pi
-        is_away = _far_spikes(angle_rad, t_s, turn_rad) | spikes(angle_rad)
-        if is_away.any():
-            names.append(angle.column)
-        is_spike |= is_away
+        # An angle may wrap at a turn, and a counter at the end of its range.
+        wrap_rad = WORD * angle.rad if angle.unit == COUNT else 2.0 * np.pi
+        is_away = _far_spikes(angle_rad, t_s, wrap_rad) | spikes(angle_rad)
+        spikes_of_column.append((angle.column, is_away))
     for voltage in profile.voltages.values():
-        size = np.abs(table.columns[voltage.column].values)
-        is_away = size > _SPIKE_RATIO * max(float(np.quantile(size, 0.99)), 1e-12)
-        is_away &= ~(np.roll(is_away, 1) & np.roll(is_away, -1))
-        is_away |= substitutes(table.columns[voltage.column].values)
-        if is_away.any():
-            names.append(voltage.column)
-        is_spike |= is_away
+        is_away = _voltage_spikes(table.columns[voltage.column].values)
+        spikes_of_column.append((voltage.column, is_away))
+    is_spike = np.logical_or.reduce([is_away for _, is_away in spikes_of_column])
     if not is_spike.any():
         return table, t_s
+    names = [column for column, is_away in spikes_of_column if is_away.any()]
     first_s = float(t_s[int(np.argmax(is_spike))])
     change = RowChange(
         "left out",
@@ -241,7 +235,16 @@ def _without_spikes(table: Table, t_s: Floats, profile: Profile) -> tuple[Table,
     return table.selected(kept, [change]), t_s[kept]
 
 
-def _far_spikes(angle_rad: Floats, t_s: Floats, turn_rad: float) -> Booleans:
+def _voltage_spikes(values: Floats) -> Booleans:
+    """Mark rows with a voltage far above the others, or with a substitute for one. Returns shape (n,)."""
+    sizes = np.abs(values)
+    is_large = sizes > _SPIKE_RATIO * max(float(np.quantile(sizes, 0.99)), 1e-12)
+    # A row between two other large ones is no single damaged value.
+    is_spike: Booleans = is_large & ~(np.roll(is_large, 1) & np.roll(is_large, -1))
+    return is_spike | substitutes(values)
+
+
+def _far_spikes(angle_rad: Floats, t_s: Floats, wrap_rad: float) -> Booleans:
     """Mark single rows, or two in a row, at which an angle jumps away and back. Shapes: `t_s` (n,); returns
     (n,).
     """
@@ -253,7 +256,7 @@ def _far_spikes(angle_rad: Floats, t_s: Floats, turn_rad: float) -> Booleans:
         limit_rad = np.radians(np.maximum(_JUMP_DEG, _JUMP_DEG_S * np.abs(np.diff(t_s)[: before.size])))
         away = angle_rad[1:-width] - before
         # At a wrap, an angle may jump to and fro by a turn.
-        is_wrap = np.abs(away - turn_rad * np.round(away / turn_rad)) < limit_rad
+        is_wrap = np.abs(away - wrap_rad * np.round(away / wrap_rad)) < limit_rad
         last = angle_rad[width:-1]
         jumps = (np.abs(away) > limit_rad) & (np.abs(after - last) > limit_rad) & ~is_wrap
         jumps &= np.abs(after - before) < 0.5 * limit_rad
@@ -393,6 +396,14 @@ def _typical_step_rad(steps_rad: Floats) -> float:
     return max(float(np.median(steps_rad)), float(sizes[counts.argmax()]) * is_count)
 
 
+class _End(NamedTuple):
+    """An end of a part that stands still."""
+
+    step: int  # Row of `step_rad` with the step into or out of the part
+    row: int  # First or last row of the part
+    beyond: int  # Its neighbour outside the part
+
+
 def _standing(rows: _Rows) -> Booleans:
     """Mark rows that a failed link repeats: an angle stays in the air, although the motors work.
 
@@ -402,39 +413,48 @@ def _standing(rows: _Rows) -> Booleans:
     """
     motion = _Motion.of(rows)
     t_s, angles, volts, step_rad = motion.t_s, motion.angles_rad, motion.volts, motion.step_rad
-    result = np.zeros(t_s.size, bool)
+    is_repeated = np.zeros(t_s.size, bool)
     largest_V = np.abs(volts).max(initial=0.0)
-    rests_s = np.column_stack([_rests_s(t_s, values) for values in angles.T])
+    rests_s = np.column_stack([_rests_s(t_s, values) for values in angles.T])  # (n, 3)
+    # The surest parts first, in which all three angles stand still: they decide about parts beside them.
     for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2], [0], [1], [2]):
         shortest_s = _STAND_S if len(axes) > 1 else _ONE_STAND_S
         runs = np.array(equal_runs(t_s, angles[:, axes]), int).reshape(-1, 2)
-        lengths_s = t_s[runs[:, 1] - 1] - t_s[runs[:, 0]]
+        starts, stops = runs.T
+        lengths_s = t_s[stops - 1] - t_s[starts]
         # Most runs are two rows in the air, so the long ones are chosen first, and the longest is the first.
-        runs, lengths_s = runs[lengths_s >= shortest_s], lengths_s[lengths_s >= shortest_s]
+        is_long = lengths_s >= shortest_s
+        runs, stops, lengths_s = runs[is_long], stops[is_long], lengths_s[is_long]
         for start, stop in runs[np.argsort(-lengths_s, kind="stable")].tolist():
             is_driven = np.abs(volts[start:stop]).max() >= _OFF_SHARE * largest_V
             # A link that reports 0 in all columns reports motors that are off.
             if not is_driven and len(axes) < len(AXES):
                 continue
-            usual_rad = motion.largest_usual_step_rad(start, stop)
-            # The jump at the end of such a part says nothing of the rows beyond it.
-            ends = (start - 1, start, max(start - 1, 0)), (stop - 1, stop - 1, min(stop, t_s.size - 1))
-            jumps = [(step_rad[row : row + 1] > usual_rad)[:, axes] for row, _, _ in ends]
-            # Of two parts beside a jump, the longer one is that of the failed link.
-            is_longer = [rests_s[row, axes] >= rests_s[beyond, axes] for _, row, beyond in ends]
-            has_both = all(jump.any() for jump in jumps)
-            enters, leaves = (
-                bool((jump & (longer | has_both)).any()) and not result[beyond]
-                for jump, longer, (_, _, beyond) in zip(jumps, is_longer, ends, strict=True)
+            limit_rad = motion.largest_usual_step_rad(start, stop)
+            ends = (
+                _End(step=start - 1, row=start, beyond=max(start - 1, 0)),
+                _End(step=stop - 1, row=stop - 1, beyond=min(stop, t_s.size - 1)),
             )
+            # A slice, because it is empty at the first and the last row of the file: no jump.
+            jumps = [(step_rad[end.step : end.step + 1] > limit_rad)[:, axes] for end in ends]
+            has_both = all(jump.any() for jump in jumps)
+            has_jump = []
+            for end, jump in zip(ends, jumps, strict=True):
+                # Of two parts beside a jump, the longer one is that of the failed link.
+                is_longer = rests_s[end.row, axes] >= rests_s[end.beyond, axes]
+                belongs_to_part = bool((jump & (is_longer | has_both)).any())
+                # The jump beside a part of the failed link says nothing of the rows beyond that part.
+                has_jump.append(belongs_to_part and not is_repeated[end.beyond])
+            enters, leaves = has_jump
             if is_driven:
-                others_s = lengths_s[runs[:, 1] < stop]
+                others_s = lengths_s[stops < stop]
                 fails = enters or leaves or (stop == t_s.size and motion.ends_still(axes, start, others_s))
             else:
                 fails = enters and leaves
             if fails:
-                result[start + (not enters) : stop] = True
-    return result | _frozen(motion)
+                # Without a jump into the part, its first row was measured.
+                is_repeated[start if enters else start + 1 : stop] = True
+    return is_repeated | _frozen(motion)
 
 
 def _rests_s(t_s: Floats, values: Floats) -> Floats:
@@ -545,12 +565,14 @@ def _resampling_changes(parts: list[_Resampling]) -> list[RowChange]:
     return changes
 
 
-def _break_note(t_s: Floats, row: int) -> str:
-    """Describe why a flight begins at a `row` without a jump of an angle."""
+def _cut_note(t_s: Floats, row: int, jumps: dict[int, str]) -> dict[str, str]:
+    """Return a note about why a flight begins at a `row`; empty for the first row of the file."""
+    if row == 0:
+        return {}
     before_s, after_s = t_s[row - 1], t_s[row]
     if after_s < before_s:
-        return f"the time falls from {before_s:.3f} to {after_s:.3f} s"
-    return f"rows are missing from {before_s:.3f} to {after_s:.3f} s"
+        return {"cut": f"the time falls from {before_s:.3f} to {after_s:.3f} s"}
+    return {"cut": jumps.get(row, f"rows are missing from {before_s:.3f} to {after_s:.3f} s")}
 
 
 def _find_jumps(rows: _Rows) -> dict[int, str]:
@@ -688,19 +710,21 @@ def _evenly_sampled(rows: _Rows) -> _Rows:
     step_s = float(np.median(steps_s))
     regular_steps_s = steps_s[steps_s < _GAP_STEPS * step_s]
     mean_s = float(regular_steps_s.mean())
-    if len(regular_steps_s) == len(steps_s):
+    has_gaps = len(regular_steps_s) < len(steps_s)
+    if not has_gaps:
         if float(np.std(steps_s)) <= UNEVEN * step_s:
             return rows
-        rounded_s = t_s[0] + mean_s * np.arange(t_s.size)
+        even_s = t_s[0] + mean_s * np.arange(t_s.size)
         # Times that were rounded, for example to whole milliseconds, count as even.
-        if np.abs(t_s - rounded_s).max() < 1.5 * step_s:
-            return replace(rows, t_s=rounded_s)
+        if np.abs(t_s - even_s).max() < _ROUNDED_STEPS * step_s:
+            return replace(rows, t_s=even_s)
     even_s = t_s[0] + mean_s * np.arange(int((t_s[-1] - t_s[0]) / mean_s) + 1)
+    # A nanosecond more, so that rounding does not choose the row before an equal time.
     last_row = np.clip(np.searchsorted(t_s, even_s + 1e-9, side="right") - 1, 0, None)
     return _Rows(
-        even_s,
-        {name: np.interp(even_s, t_s, values) for name, values in rows.angles_rad.items()},
-        {motor: volts[last_row] for motor, volts in rows.voltages_V.items()},
+        t_s=even_s,
+        angles_rad={name: np.interp(even_s, t_s, values) for name, values in rows.angles_rad.items()},
+        voltages_V={motor: volts[last_row] for motor, volts in rows.voltages_V.items()},
     )
 
 
@@ -715,27 +739,24 @@ def _usable_stretches(
     for start_s, stop_s in part.leave_out_s:
         is_included &= (t_s < start_s) | (t_s >= stop_s)
     steps_s = np.diff(t_s)
-    breaks = np.flatnonzero((steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)) + 1
-    breaks = np.union1d(breaks, jumps)
-    parts = [
-        (int(first), int(after_last))
-        for start, stop in runs_of(is_included)
-        for first, after_last in itertools.pairwise(
-            [start, *breaks[(breaks > start) & (breaks < stop)], stop]
-        )
-    ]
-    stretches = [slice(first, after_last) for first, after_last in parts if after_last - first >= MIN_ROWS]
+    is_break = (steps_s > MAX_MISSING * np.median(steps_s)) | (steps_s < 0.0)
+    breaks = np.union1d(np.flatnonzero(is_break) + 1, np.array(jumps, np.int64))
+    spans: list[slice] = []
+    for start, stop in runs_of(is_included):
+        inner = breaks[(breaks > start) & (breaks < stop)].tolist()
+        spans += [slice(first, end) for first, end in itertools.pairwise([start, *inner, stop])]
+    stretches = [span for span in spans if span.stop - span.start >= MIN_ROWS]
+    short = [span for span in spans if span.stop - span.start < MIN_ROWS]
     changes = []
     if not is_included.all():
         changes.append(RowChange("left out", int((~is_included).sum()), "that the profile leaves out"))
-    short = [(first, after_last) for first, after_last in parts if after_last - first < MIN_ROWS]
     if short:
         changes.append(
             RowChange(
                 "left out",
-                sum(after_last - first for first, after_last in short),
+                sum(span.stop - span.start for span in short),
                 f"in {len(short)} parts of fewer than {MIN_ROWS} rows between gaps or jumps "
-                f"(first at {t_s[short[0][0]]:.3f} s)",
+                f"(first at {t_s[short[0].start]:.3f} s)",
             )
         )
     if not stretches and part.leave_out_s:

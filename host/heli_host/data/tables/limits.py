@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import struct
 import sys
 import zipfile
@@ -143,22 +144,25 @@ def check_mat(path: Path) -> None:
         raise too_large(path, f"{MAX_BYTES >> 20} MiB")
     with path.open("rb") as file:
         header = file.read(_MAT_HEAD)
+        # Version 7.3 is HDF5 behind a block of 512 bytes.
         if file.seek(512) and file.read(len(_HDF)) == _HDF:
             _check_hdf(path)
             return
-        if len(header) < _MAT_HEAD or header[-2:] not in (b"IM", b"MI"):
-            return
-        order = "<" if header[-2:] == b"IM" else ">"
+        byte_order = {b"IM": "<", b"MI": ">"}.get(header[-2:])
+        if len(header) < _MAT_HEAD or byte_order is None:
+            return  # version 4, text of Octave, or NumPy: nothing in it is compressed
+        # From version 5 on, the head is followed by elements: kind, length and content.
         file.seek(_MAT_HEAD)
-        total = 0
-        while len(tag := file.read(8)) == 8:
-            kind, length = struct.unpack(f"{order}II", tag)
+        element_head = struct.Struct(f"{byte_order}II")
+        total_bytes = 0
+        while len(head := file.read(element_head.size)) == element_head.size:
+            kind, length = element_head.unpack(head)
             if kind == _COMPRESSED:
-                total += unpacked_bytes("zlib", file.read(length), MAX_BYTES - total)
+                total_bytes += unpacked_bytes("zlib", file.read(length), MAX_BYTES - total_bytes)
             else:
-                total += length
-                file.seek(length, 1)
-            if total > MAX_BYTES:
+                total_bytes += length
+                file.seek(length, os.SEEK_CUR)
+            if total_bytes > MAX_BYTES:
                 raise too_large(path, f"{MAX_BYTES >> 20} MiB")
 
 

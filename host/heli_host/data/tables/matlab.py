@@ -64,20 +64,21 @@ def _read_signals(path: Path) -> Table:
     columns: dict[str, Column] = {}
     numbers = 0
     for name, value in content.items():
-        if not name.startswith("__"):
-            for signal_name, column in _signals_in(name, value, 0):
-                # MATLAB stores small whole numbers in a byte; here each takes eight.
-                numbers += column.values.size
-                check_numbers(path, numbers)
-                columns[_free_name(signal_name, columns)] = column
+        if name.startswith("__"):
+            continue  # scipy's notes on the file
+        for signal_name, column in _signals_in(name, value, depth=0):
+            # MATLAB stores small whole numbers in a byte; here each takes eight.
+            numbers += column.values.size
+            check_numbers(path, numbers)
+            columns[_free_name(signal_name, columns)] = column
     if not columns:
         raise FlightDataError(
             f"{path}: the file has no signals of at least {_MIN_ROWS} rows", "save the logged signals in it"
         )
     columns = _with_one_time(columns)
-    clocked = [column for column in columns.values() if column.t_s is not None]
-    if clocked and len(clocked) < len(columns):
-        columns = _with_shared_times(columns, clocked[0])
+    timed = [column for column in columns.values() if column.t_s is not None]
+    if timed and len(timed) < len(columns):
+        columns = _with_shared_times(columns, timed[0])
     return Table(str(path), columns)
 
 
@@ -146,7 +147,9 @@ def _free_name(name: str, used_names: Mapping[str, Column]) -> str:
 
 
 def _signals_in(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column]]:
-    """Yield each signal in a variable with its full name, such as ``logsout.pitch[2]``."""
+    """Yield each signal in a variable with its full name, such as ``logsout.pitch[2]``; `depth` is the number
+    of variables around it.
+    """
     if depth > _DEEPEST:
         return
     value = _unwrapped(value)
@@ -154,7 +157,7 @@ def _signals_in(name: str, value: Any, depth: int) -> Iterator[tuple[str, Column
         yield from _columns_of_frame(name, value)
         return
     fields = _fields_of(value)
-    if fields is not None and np.ndim(value) and "Name" in fields:
+    if fields is not None and np.ndim(value) > 0 and "Name" in fields:
         # Recordings of dSPACE: an array of structures, one per signal.
         for record in value.ravel()[:_MAX_SIGNALS]:
             unit = unit_of(_text_of(record["Unit"])) if "Unit" in fields else ""
@@ -184,32 +187,37 @@ def _signals_of_structure(name: str, fields: Mapping[str, Any], depth: int) -> I
         for key, field_value in fields.items():
             yield from _signals_in(f"{name}.{key}", field_value, depth + 1)
         return
-    signal_t_s = t_s if np.all(np.diff(t_s) > 0.0) else None
-    if signal_t_s is None:
+    rising_t_s = t_s if np.all(np.diff(t_s) > 0.0) else None
+    if rising_t_s is None:
         yield f"{name}.time", Column(t_s)
     for key in _DATA:
-        if key in fields:
-            data = [
-                (label, signal)
-                for label, signal in _signals_with_times(name, _unwrapped(fields[key]), t_s.size)
-                if signal.size == t_s.size
-            ]
-            for label, signal in data:
-                yield label, Column(signal, "", signal_t_s)
-            if data:
-                return
+        if key not in fields:
+            continue
+        signals = [
+            (label, signal)
+            for label, signal in _signals_with_times(name, _unwrapped(fields[key]), t_s.size)
+            if signal.size == t_s.size
+        ]
+        for label, signal in signals:
+            yield label, Column(signal, t_s=rising_t_s)
+        if signals:
+            return
+    # No known field has data for these times, so that any other field may.
     for key, field_value in fields.items():
-        if key not in _TIMES:
-            # The times of a structure are those of the structures within it, too.
-            for full_name, column in _signals_in(f"{name}.{key}", field_value, depth + 1):
-                if column.t_s is not None:
-                    yield full_name, column
-                elif column.values.size == t_s.size:
-                    yield full_name, replace(column, t_s=signal_t_s)
+        if key in _TIMES:
+            continue
+        # The times of a structure are those of the structures within it, too.
+        for full_name, column in _signals_in(f"{name}.{key}", field_value, depth + 1):
+            if column.t_s is not None:
+                yield full_name, column
+            elif column.values.size == t_s.size:
+                yield full_name, replace(column, t_s=rising_t_s)
 
 
 def _signals_with_times(name: str, value: Any, rows: int) -> Iterator[tuple[str, Floats]]:
-    """Yield the signals in the data field of a structure with time: an array, or labelled structures."""
+    """Yield the signals in the data field of a structure with time: an array, or labelled structures. `rows`
+    is the number of times.
+    """
     if isinstance(value, np.ndarray) and value.dtype == object:
         for index, element in enumerate(value.ravel()[:_MAX_SIGNALS]):
             yield from _signals_with_times(
@@ -228,14 +236,14 @@ def _signals_with_times(name: str, value: Any, rows: int) -> Iterator[tuple[str,
     fields = _fields_of(value)
     if fields is not None:
         label = _text_of(fields.get("label")) or _text_of(fields.get("blockName")).rpartition("/")[2] or name
-        inner = next((fields[key] for key in ("values", "Data", "Data_") if key in fields), None)
-        yield from _signals_with_times(label, _unwrapped(inner), rows)
+        data = next((fields[key] for key in ("values", "Data", "Data_") if key in fields), None)
+        yield from _signals_with_times(label, _unwrapped(data), rows)
         return
     # A signal of several lines may list their names.
     labels = [label.strip() for label in name.split(",")]
     for index, signal, count in _columns_of_array(value, rows):
-        full_name = labels[index] if len(labels) == count else f"{name}[{index + 1}]"
-        yield (full_name if count > 1 else name), signal
+        element_name = labels[index] if len(labels) == count else f"{name}[{index + 1}]"
+        yield (element_name if count > 1 else name), signal
 
 
 def _columns_of_array(value: Any, rows: int | None = None) -> list[tuple[int, Floats, int]]:
@@ -248,7 +256,7 @@ def _columns_of_array(value: Any, rows: int | None = None) -> list[tuple[int, Fl
         return []
     array = np.squeeze(value)
     if array.ndim == 2 and min(array.shape) > _MAX_SIGNALS:
-        return []
+        return []  # before a large matrix is copied
     array = array.astype(np.float64)
     if array.ndim > 2:
         # Simulink logs a signal of one row as 1 x 1 x n.
@@ -257,12 +265,14 @@ def _columns_of_array(value: Any, rows: int | None = None) -> list[tuple[int, Fl
         array = array[:, None]
     if array.ndim != 2:
         return []
-    is_row_wise = array.shape[1] == rows if rows is not None and array.shape[0] != rows else None
-    if is_row_wise or (is_row_wise is None and rows is None and array.shape[1] > array.shape[0]):
+    height, width = array.shape
+    has_signals_in_rows = width > height if rows is None else height != rows and width == rows
+    if has_signals_in_rows:
         array = array.T
-    if array.shape[0] < _MIN_ROWS or array.shape[1] > _MAX_SIGNALS:
+    height, width = array.shape
+    if height < _MIN_ROWS or width > _MAX_SIGNALS:
         return []
-    return [(i, np.ascontiguousarray(array[:, i]), array.shape[1]) for i in range(array.shape[1])]
+    return [(index, np.ascontiguousarray(array[:, index]), width) for index in range(width)]
 
 
 def _times_of(fields: Mapping[str, Any]) -> Floats | None:
@@ -275,7 +285,8 @@ def _times_of(fields: Mapping[str, Any]) -> Floats | None:
         if key in fields:
             signals = _columns_of_array(_unwrapped(fields[key]))
             if len(signals) == 1:
-                return signals[0][1]
+                ((_, times, _),) = signals
+                return times
     time_info = _fields_of(_unwrapped(fields.get("TimeInfo", fields.get("TimeInfo_"))))
     if time_info is None:
         return None
@@ -289,9 +300,10 @@ def _times_of(fields: Mapping[str, Any]) -> Floats | None:
         )
     except (KeyError, IndexError, TypeError, ValueError):
         return None
-    is_usable = np.isfinite([start, step, count]).all() and step > 0 and count >= _MIN_ROWS
-    even_times: Floats = unit_s * (start + step * np.arange(int(count) if is_usable else 0, dtype=np.float64))
-    return even_times if is_usable else None
+    if not np.isfinite([start, step, count]).all() or step <= 0.0 or count < _MIN_ROWS:
+        return None
+    even_times: Floats = unit_s * (start + step * np.arange(int(count), dtype=np.float64))
+    return even_times
 
 
 def _unwrapped(value: Any) -> Any:

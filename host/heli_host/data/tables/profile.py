@@ -122,39 +122,31 @@ def read_entries(path: Path) -> Mapping[str, Any]:
 def profile_of(content: Mapping[str, Any], source: str) -> Profile:
     """Read a profile from its parsed TOML, `content`; an error names `source` and the wrong entry."""
     reader = _Reader(source)
-    known = {
-        "about",
-        "mirrored",
-        "time",
-        "voltages",
-        "flight",
-        *AXES,
-        *MOTORS,
-        *SUMS,
-        *(f"{a}_setpoint" for a in AXES),
-    }
-    reader.refuse_unknown(content, known, "")
+    setpoint_names = {axis: f"{axis}_setpoint" for axis in AXES}
+    tables = {"time", "voltages", "flight", *AXES, *MOTORS, *SUMS, *setpoint_names.values()}
+    reader.refuse_unknown(content, {"about", "mirrored", *tables}, prefix="")
     time = reader.table(content, "time")
-    reader.refuse_unknown(time, {"column", "unit", "rate_Hz"}, "time.")
-    motors = [name for name in MOTORS if name in content]
-    sums = [name for name in SUMS if name in content]
-    if (motors, sums) not in ((list(MOTORS), []), ([], list(SUMS))):
+    reader.refuse_unknown(time, {"column", "unit", "rate_Hz"}, prefix="time.")
+    voltage_names = [name for name in (*MOTORS, *SUMS) if name in content]
+    if voltage_names not in (list(MOTORS), list(SUMS)):
         raise reader.problem("the voltages are neither [front] and [back] nor [sum] and [difference]")
     voltages_table = reader.table(content, "voltages")
-    reader.refuse_unknown(voltages_table, {"act", "clip_V", *_SHARED}, "voltages.")
+    reader.refuse_unknown(voltages_table, {"act", "clip_V", *_SHARED}, prefix="voltages.")
     shared = {name: voltages_table[name] for name in _SHARED if name in voltages_table}
     profile = Profile(
-        {axis: reader.angle(content, axis) for axis in AXES},
-        {name: reader.voltage(content, name, shared) for name in motors or sums},
-        reader.text(time, "column", ""),
-        reader.one_of(time, "unit", "s", tuple(TIME_UNITS)),
-        reader.number(time, "rate_Hz", 0.0),
-        reader.one_of(voltages_table, "act", "after", _ACT),
-        {axis: reader.angle(content, f"{axis}_setpoint") for axis in AXES if f"{axis}_setpoint" in content},
-        dict(reader.part(entry) for entry in reader.tables(content, "flight")),
-        reader.text(content, "about", ""),
-        reader.clip(voltages_table),
-        reader.truth(content, "mirrored"),
+        angles={axis: reader.angle(content, axis) for axis in AXES},
+        voltages={name: reader.voltage(content, name, shared) for name in voltage_names},
+        time=reader.text(time, "column", ""),
+        time_unit=reader.one_of(time, "unit", "s", tuple(TIME_UNITS)),
+        rate_Hz=reader.number(time, "rate_Hz", 0.0),
+        act=reader.one_of(voltages_table, "act", "after", _ACT),
+        setpoints={
+            axis: reader.angle(content, name) for axis, name in setpoint_names.items() if name in content
+        },
+        parts=dict(reader.part(entry) for entry in reader.tables(content, "flight")),
+        about=reader.text(content, "about", ""),
+        clip_V=reader.clip(voltages_table),
+        mirrored=reader.truth(content, "mirrored"),
     )
     if not profile.time and profile.rate_Hz <= 0.0:
         raise reader.problem("it has neither time.column nor time.rate_Hz")

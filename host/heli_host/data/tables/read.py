@@ -7,7 +7,7 @@ import statistics
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from heli_host.errors import FlightDataError, install_remedy
 if TYPE_CHECKING:
     import pandas
     import pyarrow
+    from rosbags.highlevel import AnyReader
 
 
 _MIN_SHARE: Final = 0.5
@@ -108,15 +109,15 @@ def _longest_sheet(path: Path) -> pandas.DataFrame:
 
     check_workbook(path)
     longest: list[tuple[object, ...]] = []
-    cells = 0
+    cell_count = 0
     with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
         for sheet in book.worksheets:
             # A sheet states its own size, and a row its number: both may be anything.
             sheet.reset_dimensions()
             rows: list[tuple[object, ...]] = []
             for row in sheet.iter_rows(values_only=True):
-                cells += max(1, len(row))
-                if cells > MAX_CELLS:
+                cell_count += max(1, len(row))  # an empty row takes time, too
+                if cell_count > MAX_CELLS:
                     raise too_large(path, f"{MAX_CELLS // 1_000_000} million cells")
                 if any(cell is not None for cell in row):
                     rows.append(row)
@@ -198,23 +199,13 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
     if frame.index.name is not None or not isinstance(frame.index, pandas.RangeIndex):
         frame = frame.reset_index()
     for name in frame.columns:
-        series, unit = frame[name], ""
+        series = frame[name]
         if pandas.api.types.is_datetime64_any_dtype(series) or pandas.api.types.is_timedelta64_dtype(series):
-            values = (series - series.iloc[0]).dt.total_seconds().to_numpy(np.float64)
-            unit = "s"
+            column = Column((series - series.iloc[0]).dt.total_seconds().to_numpy(np.float64), "s")
         else:
-            first = series.iloc[0] if len(series) else None
-            if isinstance(first, str):
-                unit = unit_of(first.strip("[]() "))
-            values = pandas.to_numeric(series, errors="coerce").to_numpy(np.float64)
-            if isinstance(first, str) and _number_share(values, series) <= _MIN_SHARE:
-                values, cell_unit = numbers_of(series, Dialect(";", "," if "," in first else "."))
-                unit = cell_unit or unit
-            at_s = None if _number_share(values, series) > _MIN_SHARE else seconds_of(series)
-            if at_s is not None:
-                values, unit = at_s, "s"
-        if _number_share(values, series) > _MIN_SHARE:
-            columns[str(name)] = Column(values, unit)
+            column = _column_of_cells(series)
+        if _number_share(column.values, series) > _MIN_SHARE:
+            columns[str(name)] = column
         elif series.notna().any():
             unread[str(name)] = str(series.dropna().iloc[-1])
     if not columns:
@@ -222,6 +213,24 @@ def _numeric_table(path: Path, frame: pandas.DataFrame) -> Table:
             f"{path}: the file has no columns of numbers", "give a table with one row per sample"
         )
     return Table(str(path), columns, unread=unread)
+
+
+def _column_of_cells(cells: pandas.Series) -> Column:
+    """Read cells as numbers, or as times of a clock; most values are nan if they are neither."""
+    import pandas
+
+    values: Floats = pandas.to_numeric(cells, errors="coerce").to_numpy(np.float64)
+    first, unit = cells.iloc[0] if len(cells) else None, ""
+    if isinstance(first, str):
+        # Below the names, a row may have the units.
+        unit = unit_of(first.strip("[]() "))
+        if _number_share(values, cells) <= _MIN_SHARE:
+            decimal = "," if "," in first else "."
+            values, cell_unit = numbers_of(cells, Dialect(separator=";", decimal=decimal))
+            unit = cell_unit or unit
+    if _number_share(values, cells) <= _MIN_SHARE and (clock_s := seconds_of(cells)) is not None:
+        return Column(clock_s, "s")
+    return Column(values, unit)
 
 
 def _number_share(values: Floats, cells: pandas.Series) -> float:
@@ -248,9 +257,6 @@ def read_bag(path: Path) -> Table:
         raise FlightDataError(
             f"{path} is a log of heli-host and needs no import", "give the log itself to the other commands"
         )
-    series_by_name: dict[str, tuple[array[float], array[float]]] = {}
-    stamps: dict[str, tuple[array[float], array[float]]] = {}
-    topic_of: dict[str, str] = {}
     folder = path.parent if path.suffix == ".db3" else path
     with within_memory(path):
         try:
@@ -260,24 +266,7 @@ def read_bag(path: Path) -> Table:
                 elif file.suffix == ".zstd":
                     raise FlightDataError(f"{file} is compressed as a whole", "unpack it with zstd -d")
             with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-                number_count = 0
-                for count, (connection, recorded_ns, payload) in enumerate(reader.messages(), 1):
-                    message = reader.deserialize(payload, connection.msgtype)
-                    recorded_s = recorded_ns * 1e-9
-                    t_s = _stamp_s(message) or recorded_s
-                    stamped, recorded = stamps.setdefault(connection.topic, (array("d"), array("d")))
-                    stamped.append(t_s)
-                    recorded.append(recorded_s)
-                    for name, value in _numbers_in_message(connection.topic.strip("/"), message, 0):
-                        times, values = series_by_name.setdefault(name, (array("d"), array("d")))
-                        times.append(t_s)
-                        values.append(value)
-                        topic_of[name] = connection.topic
-                        number_count += 2
-                    if count > MAX_ROWS:
-                        raise too_large(path, f"{MAX_ROWS // 1_000_000} million messages")
-                    if number_count > MAX_NUMBERS:
-                        raise too_large(path, f"{MAX_NUMBERS // 1_000_000} million numbers")
+                series = _series_of_messages(reader, path)
         except (FlightDataError, MemoryError):
             raise
         except Exception as error:  # a damaged file may cause any error in the reader
@@ -290,13 +279,42 @@ def read_bag(path: Path) -> Table:
                 f"{path}: not a bag that rosbags reads ({type(error).__name__}: {error})",
                 "give a bag or an MCAP file; record the flight again if this one is damaged",
             ) from error
-        delays_s, changes = _clock_differences(stamps)
-        return _table_of_series(
-            path,
-            series_by_name,
-            {name: delays_s.get(topic, 0.0) for name, topic in topic_of.items()},
-            changes,
-        )
+        delays_s, changes = _clock_differences(series.stamps)
+        delays_by_name_s = {name: delays_s.get(topic, 0.0) for name, topic in series.topics.items()}
+        return _table_of_series(path, series.by_name, delays_by_name_s, changes)
+
+
+class _BagSeries(NamedTuple):
+    """Numbers of a bag's messages, with their times [s]."""
+
+    by_name: dict[str, tuple[array[float], array[float]]]  # Times and values by the name of the number
+    topics: dict[str, str]  # Topic of each name
+    stamps: dict[str, tuple[array[float], array[float]]]
+    """Times of the messages of each topic: in the header, and at the recorder."""
+
+
+def _series_of_messages(reader: AnyReader, path: Path) -> _BagSeries:
+    """Read all numbers in the messages of a bag."""
+    series = _BagSeries({}, {}, {})
+    number_count = 0
+    for message_count, (connection, recorded_ns, payload) in enumerate(reader.messages(), 1):
+        message = reader.deserialize(payload, connection.msgtype)
+        recorded_s = recorded_ns * 1e-9
+        t_s = _stamp_s(message) or recorded_s
+        stamped, recorded = series.stamps.setdefault(connection.topic, (array("d"), array("d")))
+        stamped.append(t_s)
+        recorded.append(recorded_s)
+        for name, value in _numbers_in_message(connection.topic.strip("/"), message, depth=0):
+            times, values = series.by_name.setdefault(name, (array("d"), array("d")))
+            times.append(t_s)
+            values.append(value)
+            series.topics[name] = connection.topic
+            number_count += 2  # the time and the value
+        if message_count > MAX_ROWS:
+            raise too_large(path, f"{MAX_ROWS // 1_000_000} million messages")
+        if number_count > MAX_NUMBERS:
+            raise too_large(path, f"{MAX_NUMBERS // 1_000_000} million numbers")
+    return series
 
 
 def _is_log(path: Path) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bisect
 import itertools
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -69,6 +69,8 @@ _FAR_RANGES: Final = 2.0
 _FAR_RATIO: Final = 5.0
 """Largest share of such rows, their distance from all other values as a multiple of their range, and their
 size over the largest of these values."""
+_SAME_RATE_SHARE: Final = 0.9
+"""Share of the fastest column's rows in which a column of the same rate has a number at least."""
 _NEAR_ROWS: Final = 8
 """Rows before and after a pair in which the rig has to move for the pair to count as evidence."""
 
@@ -93,22 +95,25 @@ def without_unread_rows(table: Table, columns: Collection[str], time: str) -> Ta
     A line that is damaged in one cell may have a damaged time, too, and a clock is repaired by all its times.
     If only other columns than `columns` lack a number, a row is left out if its time is out of order.
     """
-    known = {name: np.isfinite(column.values) for name, column in table.columns.items() if name != time}
-    lacking = {name: ~cells for name, cells in known.items() if 1.0 - _MAX_UNREAD <= cells.mean() < 1.0}
+    has_number = {name: np.isfinite(column.values) for name, column in table.columns.items() if name != time}
+    lacking = {name: ~cells for name, cells in has_number.items() if 1.0 - _MAX_UNREAD <= cells.mean() < 1.0}
     nothing = np.zeros(len(table), bool)
     unread = np.logical_or.reduce([nothing, *lacking.values()])
     if not unread.any() or unread.mean() > _MAX_UNREAD:
         return table
-    is_used = np.logical_or.reduce([nothing, *(lacking[name] for name in columns if name in lacking)])
+    lacks_used = np.logical_or.reduce([nothing, *(lacking[name] for name in columns if name in lacking)])
     if time in table.columns:
         times = table.columns[time].values
+        # If the newest row is the first, the times fall.
         times = -times if float(np.nanmean(np.sign(np.diff(times)))) < 0.0 else times
         whole = np.flatnonzero(~unread)
+        # The nearest whole row before each row, and the nearest from it on.
         place = np.searchsorted(whole, np.arange(unread.size))
         before, after = whole[np.clip(place - 1, 0, None)], whole[np.clip(place, None, whole.size - 1)]
-        unread &= is_used | ~((times >= times[before]) & (times <= times[after]))
+        is_in_order = (times >= times[before]) & (times <= times[after])
+        unread &= lacks_used | ~is_in_order
     else:
-        unread &= is_used
+        unread &= lacks_used
     if not unread.any():
         return table
     names = " or ".join(f"'{name}'" for name, cells in lacking.items() if (cells & unread).any())
@@ -130,7 +135,7 @@ def timed_rows(table: Table, column: str, unit: str) -> TimedRows:
             f"rows (the first without one is row {first})",
             NO_CLOCK,
         )
-    clock = _Clock(column, TIME_UNITS[unit], np.flatnonzero(has_time), values[has_time])
+    clock = _Clock(column, TIME_UNITS[unit], rows=np.flatnonzero(has_time), times=values[has_time])
     if not clock.step:
         raise FlightDataError(
             f"{table.source}: the time '{column}' is {values[has_time][0]:g} in all {values.size} rows",
@@ -179,21 +184,24 @@ class _Clock:
         period = self._period(times)
         if not period:
             return
-        falls = np.flatnonzero(steps < -0.5 * period)
-        # Rows that are exchanged at the overflow fall and rise by nearly a period.
-        continued = np.mod(steps + 0.25 * period, period) - 0.25 * period
-        overflows = round(float((continued - steps).sum()) / period)
-        turns = np.round((times[0] + np.concatenate(([0.0], np.cumsum(continued))) - times) / period)
-        before = np.searchsorted(usable, np.arange(self.times.size), side="right") - 1
-        self.times = self.times + period * turns[np.clip(before, 0, None)]
+        # A step of minus nearly a period becomes a small one. Rows that are exchanged at the overflow also
+        # rise by nearly a period, and become small steps back.
+        continued_steps = np.mod(steps + 0.25 * period, period) - 0.25 * period
+        continued_times = times[0] + np.concatenate(([0.0], np.cumsum(continued_steps)))
+        overflows_before = np.round((continued_times - times) / period)
+        # A time that is far from its neighbours gets the overflows of the usable row before it.
+        usable_before = np.searchsorted(usable, np.arange(self.times.size), side="right") - 1
+        self.times = self.times + period * overflows_before[np.clip(usable_before, 0, None)]
         self.step = _typical_step(self.times)
+        overflows = round(float((continued_steps - steps).sum()) / period)
         count = "once" if overflows == 1 else f"{overflows} times"
+        first_moved = int(usable[np.argmax(steps < -0.5 * period) + 1])
         self.changes.append(
             RowChange(
                 "retimed",
-                self.rows.size - int(usable[falls[0] + 1]),
+                self.rows.size - first_moved,
                 f"because the counter '{self.column}' overflows at {period:.10g}, {count} "
-                f"(first: row {int(self.rows[usable[falls[0] + 1]]) + 1})",
+                f"(first: row {int(self.rows[first_moved]) + 1})",
             )
         )
 
@@ -203,27 +211,32 @@ class _Clock:
         if not (steps < 0.0).any():
             return 0.0
         span, lowest = float(np.ptp(times)), float(times.min())
-        shown = [] if times[0] < _EDGE_STEPS * self.step else [s / self.unit_s for s in _SHOWN_S]
+        begins_at_zero = times[0] < _EDGE_STEPS * self.step
+        shown = [] if begins_at_zero else [face_s / self.unit_s for face_s in _SHOWN_S]
         for period in (*_MODULI, *shown):
             slack = min(_EDGE_STEPS * self.step, 0.25 * period)
             falls = np.flatnonzero(steps < -0.5 * period)
-            if not falls.size or period < 2.0 * self.step or span > period + slack:
+            is_within_range = span <= period + slack
+            if not falls.size or not is_within_range or period < 2.0 * self.step:
                 continue
             # Unsigned counters begin at 0, signed ones at minus half of their range.
             begin = 0.0 if lowest >= -slack else -0.5 * period
-            is_edge = times[falls] > begin + period - slack - self.step
-            is_edge &= times[falls + 1] < begin + slack + self.step
-            if is_edge.mean() > 0.5:
+            # An overflow goes from the end of the range to its begin; most falls have to be overflows.
+            is_overflow = times[falls] > begin + period - slack - self.step
+            is_overflow &= times[falls + 1] < begin + slack + self.step
+            if is_overflow.mean() > 0.5:
                 return float(period)
-        # A counter with another range: all falls are equal.
+        # A counter with another range: nearly all falls are equal.
         falls = np.flatnonzero(steps < -_GLITCH_STEPS * self.step)
-        if falls.size >= _MIN_OVERFLOWS:
-            sizes = -steps[falls] + self.step
-            period = float(np.median(sizes))
-            is_equal = np.abs(sizes - period) < _EDGE_STEPS * self.step
-            if is_equal.mean() > 0.9 and span < period + _EDGE_STEPS * self.step:
-                return float(round(period)) if abs(period - round(period)) < 0.5 * self.step else period
-        return 0.0
+        if falls.size < _MIN_OVERFLOWS:
+            return 0.0
+        sizes = -steps[falls] + self.step
+        period = float(np.median(sizes))
+        is_equal = np.abs(sizes - period) < _EDGE_STEPS * self.step
+        if is_equal.mean() <= 0.9 or span >= period + _EDGE_STEPS * self.step:
+            return 0.0
+        # A counter counts to a whole number, which the median may miss by a fraction of a step.
+        return float(round(period)) if abs(period - round(period)) < 0.5 * self.step else period
 
     def sort(self) -> None:
         """Sort the rows by time within each recording, and leave out rows whose times fit nowhere."""
@@ -237,9 +250,11 @@ class _Clock:
             segment = self._sorted_segment(start)
             order.append(segment.rows)
             misfits.append(segment.misfits)
-            moved, falls = moved + segment.moved, falls + segment.falls
+            moved += segment.moved
+            falls += segment.falls
             if segment.restart < self.times.size:
-                self.cuts.append(sum(part.size for part in order))
+                # Counted in the rows that are kept.
+                self.cuts.append(sum(rows.size for rows in order))
             start = segment.restart
         kept, bad = np.concatenate(order), np.concatenate(misfits)
         if moved:
@@ -263,14 +278,20 @@ class _Clock:
         if not is_far.any():
             return
         rest, rest_rows = times[~is_far], self.rows[~is_far]
+        # Only among sorted times, a time has a place.
         is_sorted = not (np.diff(rest) < 0.0).any()
         damaged: list[int] = []
-        moved: list[tuple[int, float, int]] = []
+        moved: list[tuple[int, float, int]] = []  # place in `rest`, time, row
         for index in np.flatnonzero(is_far):
             time, row = float(times[index]), int(self.rows[index])
-            place = int(np.searchsorted(rest, time)) if is_sorted else 0
-            fits = 0 < place < rest.size and rest[place] - rest[place - 1] > _HOLE_STEPS * self.step
-            if fits and min(time - rest[place - 1], rest[place] - time) > 0.5 * self.step:
+            place = int(np.searchsorted(rest, time))
+            is_inside = is_sorted and 0 < place < rest.size
+            # A row is missing there, and this one is not a copy of a neighbour.
+            if (
+                is_inside
+                and rest[place] - rest[place - 1] > _HOLE_STEPS * self.step
+                and min(time - rest[place - 1], rest[place] - time) > 0.5 * self.step
+            ):
                 moved.append((place, time, row))
             else:
                 damaged.append(row)
@@ -291,14 +312,15 @@ class _Clock:
         kept: list[Integers] = []
         misfits: list[int] = []
         moved = sorted_falls = 0
-        position = start
+        position = start  # Rows before it are settled.
         highest = np.maximum.accumulate(times[start:])
         for fall in np.flatnonzero(np.diff(times[start:]) < 0.0) + 1 + start:
             if fall <= position and position > start:
-                continue
+                continue  # within a disorder that is settled
             first, last = self._disorder(position, int(fall), highest, start)
             cluster = self._fit(np.arange(first, last))
             if cluster is None:
+                # The clock starts again at the deepest fall.
                 restart = first + 1 + int(np.argmin(np.diff(times[first:last])))
                 segment = np.concatenate([*kept, np.arange(position, restart)])
                 # The rows before the restart may be in disorder themselves.
@@ -306,9 +328,9 @@ class _Clock:
                 return _SortedSegment(restart, segment, np.array(misfits, int), moved, sorted_falls)
             kept += [np.arange(position, first), cluster.rows]
             misfits += cluster.misfits.tolist()
-            remaining = np.sort(cluster.rows)
-            moved += int((remaining != cluster.rows).sum())
-            sorted_falls += int((np.diff(times[remaining]) < 0.0).sum())
+            in_file_order = np.sort(cluster.rows)
+            moved += int((in_file_order != cluster.rows).sum())
+            sorted_falls += int((np.diff(times[in_file_order]) < 0.0).sum())
             position = last
         kept.append(np.arange(position, times.size))
         return _SortedSegment(times.size, np.concatenate(kept), np.array(misfits, int), moved, sorted_falls)
@@ -332,13 +354,14 @@ class _Clock:
 
     def _fit(self, cluster: Integers) -> _SortedCluster | None:
         """Sort the rows of a `cluster` by time; return None if the clock starts again there."""
-        times = self.times[cluster]
-        order = np.argsort(times, kind="stable")
         if cluster.size > _MAX_CLUSTER:
             return None
-        is_tidy = (np.diff(times[order]) > 0.5 * self.step).all()
-        if is_tidy and float(np.ptp(times)) / self.step < 2.0 * cluster.size + _EDGE_STEPS:
-            return _SortedCluster(cluster[order], np.zeros(0, int))
+        times = self.times[cluster]
+        order = np.argsort(times, kind="stable")
+        # If the sorted times are distinct, and hardly any is missing, these are the rows of one recording.
+        are_distinct = (np.diff(times[order]) > 0.5 * self.step).all()
+        if are_distinct and float(np.ptp(times)) / self.step < 2.0 * cluster.size + _EDGE_STEPS:
+            return _SortedCluster(cluster[order], misfits=np.zeros(0, int))
         # Most rows are in order; each displaced row has to fit between two of them.
         backbone = longest_rise(times)
         is_displaced = np.ones(times.size, bool)
@@ -353,8 +376,12 @@ class _Clock:
             is_inside = 0 < place < rising.size
             is_hole = is_inside and rising[place] - rising[place - 1] > _HOLE_STEPS * self.step
             is_repeated = place < rising.size and rising[place] == times[index]
-            repeats += is_repeated and not is_coarse
-            (kept if is_hole or is_coarse or is_repeated else misfits).append(index)
+            if is_repeated and not is_coarse:
+                repeats += 1
+            if is_hole or is_coarse or is_repeated:
+                kept.append(index)
+            else:
+                misfits.append(index)
         # A few rows with the times of others may be late copies; many are those of a clock that was set back.
         if len(misfits) > _MAX_MISFITS or repeats > _MAX_MISFITS:
             return None
@@ -413,60 +440,84 @@ def longest_rise(times: Floats) -> Integers:
 
 def _with_unique_times(table: Table, times: Floats, cuts: list[int], column: str, unit_s: float) -> TimedRows:
     """Leave out copies of rows, merge rows that complete each other, and count on times that repeat."""
-    others = [name for name in table.columns if name != column]
-    values = [table.columns[name].values for name in others]
-    matrix = np.column_stack(values) if others else np.zeros((times.size, 1))
-    keep = np.ones(times.size, bool)
-    counts = {"twice": 0, "copies": 0, "rivals": 0, "merged": 0, "stalled": 0, "coarse": 0}
-    first_rival, uncertain_s, notes = 0.0, 0.0, []
-    stalls: list[str] = []
+    other_names = [name for name in table.columns if name != column]
+    other_values = [table.columns[name].values for name in other_names]
+    cells = np.column_stack(other_values) if other_values else np.zeros((times.size, 1))  # (n, columns)
+    is_kept = np.ones(times.size, bool)
+    repairs = _TimeRepairs()
     retimed: list[Floats] = []
-    seen: list[tuple[Floats, Floats]] = []
+    recordings: list[tuple[Floats, Floats]] = []
     for start, stop in itertools.pairwise([0, *cuts, times.size]):
-        segment, part = times[start:stop], matrix[start:stop]
-        if any(_is_same_part(segment, part, *other) for other in seen):
-            keep[start:stop] = False
-            counts["twice"] += stop - start
+        part_times, part_cells = times[start:stop], cells[start:stop]
+        if any(_is_same_part(part_times, part_cells, *recording) for recording in recordings):
+            is_kept[start:stop] = False
+            repairs.twice += stop - start
             continue
-        seen.append((segment, part))
-        is_merged = _merge_complements(segment, part)
-        is_copy = np.zeros(segment.size, bool)
-        is_copy[~is_merged] = _copies(segment[~is_merged], part[~is_merged])
-        used = ~(is_copy | is_merged)
-        conflicts = _conflicts(segment[used])
-        if conflicts.any():
-            first_rival = first_rival or float(segment[used][int(np.argmax(conflicts))])
-            used[np.flatnonzero(used)[conflicts]] = False
-        keep[start:stop] = used
-        running, stalled, lost, stall = _without_stalls(segment[used], unit_s)
-        uncertain_s = max(uncertain_s, lost * unit_s)
-        counts["stalled"] += stalled
-        stalls += [stall] if stall else []
-        even, shared, note = _counted_on(running, unit_s)
-        uncertain_s = max(uncertain_s, _hidden_s(segment[used]) * unit_s)
-        counts["copies"] += int(is_copy.sum())
-        counts["merged"] += int(is_merged.sum())
-        counts["rivals"] += int(conflicts.sum())
-        counts["coarse"] += shared
-        notes += [note] if note and note not in notes else []
-        retimed.append(even)
-    reasons = {
-        "twice": ("left out", "of a recording that the file contains twice"),
-        "copies": ("left out", f"that repeat rows before them, with the same '{column}'"),
-        "rivals": ("left out", f"that contradict another with the same '{column}' (first: {first_rival:g})"),
-        "merged": ("merged", f"into the row with the same '{column}', whose blank cells they fill"),
-        "stalled": ("retimed", f"after '{column}' stood still: {'; '.join(stalls)}"),
-        "coarse": (
-            "retimed",
-            f"that repeat the time of the row before, because '{column}' is coarse: {'; '.join(notes)}",
-        ),
-    }
-    changes = [RowChange(reasons[key][0], rows, reasons[key][1]) for key, rows in counts.items() if rows]
-    if counts["merged"]:
-        filled = {name: replace(table.columns[name], values=matrix[:, i]) for i, name in enumerate(others)}
+        recordings.append((part_times, part_cells))
+        is_merged = _merge_complements(part_times, part_cells)
+        is_copy = np.zeros(part_times.size, bool)
+        is_copy[~is_merged] = _copies(part_times[~is_merged], part_cells[~is_merged])
+        is_used = ~(is_copy | is_merged)
+        is_rival = _conflicts(part_times[is_used])
+        if is_rival.any():
+            first_rival = float(part_times[is_used][int(np.argmax(is_rival))])
+            repairs.first_rival = repairs.first_rival or first_rival
+            is_used[np.flatnonzero(is_used)[is_rival]] = False
+        is_kept[start:stop] = is_used
+        used_times = part_times[is_used]
+        running_times, stalled, lost, stall = _without_stalls(used_times, unit_s)
+        even_times, coarse, note = _counted_on(running_times, unit_s)
+        retimed.append(even_times)
+        repairs.copies += int(is_copy.sum())
+        repairs.merged += int(is_merged.sum())
+        repairs.rivals += int(is_rival.sum())
+        repairs.stalled += stalled
+        repairs.coarse += coarse
+        repairs.stalls += [stall] if stall else []
+        repairs.notes += [note] if note and note not in repairs.notes else []
+        repairs.uncertain = max(repairs.uncertain, lost, _hidden_time(used_times))
+    changes = repairs.changes(column)
+    if repairs.merged:
+        filled = {
+            name: replace(table.columns[name], values=values)
+            for name, values in zip(other_names, cells.T, strict=True)
+        }
         table = replace(table, columns={**table.columns, **filled})
-    table = table.selected(np.flatnonzero(keep), changes) if changes else table
-    return TimedRows(table, np.concatenate(retimed) * unit_s, uncertain_s)
+    table = table.selected(np.flatnonzero(is_kept), changes) if changes else table
+    return TimedRows(table, np.concatenate(retimed) * unit_s, repairs.uncertain * unit_s)
+
+
+@dataclass
+class _TimeRepairs:
+    """Numbers of rows whose times repeat, by what was done to them, and texts about it."""
+
+    twice: int = 0  # Rows of a recording that the file contains twice
+    copies: int = 0
+    rivals: int = 0  # Rows that contradict another one with the same time
+    merged: int = 0
+    stalled: int = 0  # Rows after a clock that stood still
+    coarse: int = 0
+    first_rival: float = 0.0  # Time of the first of the `rivals`
+    stalls: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # How the rows of a coarse clock were counted on
+    uncertain: float = 0.0  # Largest error of a time, in the unit of the times
+
+    def changes(self, column: str) -> list[RowChange]:
+        """Describe the repairs of the times in a `column`."""
+        stalls, notes = "; ".join(self.stalls), "; ".join(self.notes)
+        coarse = f"that repeat the time of the row before, because '{column}' is coarse: {notes}"
+        rival = f"that contradict another with the same '{column}' (first: {self.first_rival:g})"
+        changes = [
+            RowChange("left out", self.twice, "of a recording that the file contains twice"),
+            RowChange("left out", self.copies, f"that repeat rows before them, with the same '{column}'"),
+            RowChange("left out", self.rivals, rival),
+            RowChange(
+                "merged", self.merged, f"into the row with the same '{column}', whose blank cells they fill"
+            ),
+            RowChange("retimed", self.stalled, f"after '{column}' stood still: {stalls}"),
+            RowChange("retimed", self.coarse, coarse),
+        ]
+        return [change for change in changes if change.rows]
 
 
 def _is_same_part(times: Floats, part: Floats, other_times: Floats, other: Floats) -> bool:
@@ -505,21 +556,23 @@ def _copies(times: Floats, part: Floats) -> Booleans:
     near rows that differ: there the rig moves.
     """
     is_copy = np.zeros(times.size, bool)
+    # One element per pair of neighbouring rows, shape (n - 1,).
     same_time = np.diff(times) == 0.0
     if not same_time.any():
         return is_copy
     equal = ((part[1:] == part[:-1]) | (np.isnan(part[1:]) & np.isnan(part[:-1]))).all(axis=1)
     changes_before = np.concatenate(([0], np.cumsum(~equal)))
-    index = np.arange(same_time.size)
-    near = changes_before[np.minimum(index + _NEAR_ROWS, same_time.size)]
-    near = near - changes_before[np.maximum(index - _NEAR_ROWS, 0)]
-    pairs = same_time & (near >= _NEAR_ROWS // 2)
-    pairs = pairs if pairs.any() else same_time
-    if float(equal[pairs].mean()) >= _COPY_SHARE:
+    pair = np.arange(same_time.size)
+    near_start = np.maximum(pair - _NEAR_ROWS, 0)
+    near_stop = np.minimum(pair + _NEAR_ROWS, same_time.size)
+    changes_near = changes_before[near_stop] - changes_before[near_start]
+    is_evidence = same_time & (changes_near >= _NEAR_ROWS // 2)
+    is_evidence = is_evidence if is_evidence.any() else same_time
+    if float(equal[is_evidence].mean()) >= _COPY_SHARE:
         is_copy[1:] = equal & same_time
         return is_copy
-    # Where all rows nearby differ, rows do not repeat by chance.
-    exceptions = equal & same_time & (near >= 2 * _NEAR_ROWS - 2)
+    # Where all other rows nearby differ, rows do not repeat by chance.
+    exceptions = equal & same_time & (changes_near >= 2 * _NEAR_ROWS - 2)
     if exceptions.mean() < _MAX_CONFLICTS:
         is_copy[1:] = exceptions
     return is_copy | _repeated_blocks(times, part)
@@ -612,23 +665,27 @@ def _counted_on(times: Floats, unit_s: float) -> tuple[Floats, int, str]:
     about = f"up to {int(sizes.max())} rows per time, from {first_s:.6g} s on"
     rows = np.arange(times.size, dtype=np.float64)
     lengths = np.diff(ticks)
+    # Times with a fixed number of digits are coarsest at the end of the file.
     resolution = float(np.median(lengths[-max(1, lengths.size // 5) :]))
     # The first and the last time may have lost rows, so that their rows are not in the middle of a tick.
     middles = starts + 0.5 * (sizes - 1.0)
-    slope, _ = _line(middles[1:-1], ticks[1:-1]) if ticks.size > 3 else _line(rows, times)
-    start = float(np.mean(times - slope * rows))
-    if slope > 0.0 and np.abs(times - start - slope * rows).max() <= 1.05 * max(resolution, slope):
-        even: Floats = start + slope * rows
-        return even, count, f"{about}; the rows were counted on evenly at {1.0 / (slope * unit_s):.6g} Hz"
+    time_per_row, _ = _line(middles[1:-1], ticks[1:-1]) if ticks.size > 3 else _line(rows, times)
+    start = float(np.mean(times - time_per_row * rows))
+    even: Floats = start + time_per_row * rows
+    # If no time is farther from the line than rounding explains, the rows were recorded evenly.
+    if time_per_row > 0.0 and np.abs(times - even).max() <= 1.05 * max(resolution, time_per_row):
+        rate_Hz = 1.0 / (time_per_row * unit_s)
+        return even, count, f"{about}; the rows were counted on evenly at {rate_Hz:.6g} Hz"
     typical = float(np.median(lengths))
+    # The rows before a gap do not spread over it.
     longest = typical * np.maximum(1.0, sizes / np.median(sizes))
     lengths = np.minimum(np.append(lengths, typical), longest)
-    place = rows - np.repeat(starts, sizes)
-    spread: Floats = np.repeat(ticks, sizes) + place * np.repeat(lengths / sizes, sizes)
+    place_in_tick = rows - np.repeat(starts, sizes)
+    spread: Floats = np.repeat(ticks, sizes) + place_in_tick * np.repeat(lengths / sizes, sizes)
     return spread, count, f"{about}; the rows were spread evenly within each step of the clock"
 
 
-def _hidden_s(times: Floats) -> float:
+def _hidden_time(times: Floats) -> float:
     """Return how long the gaps are within one step of a coarse clock, in the unit of the times.
 
     A step with fewer rows than the others has lost some, at a place that the clock does not show.
@@ -660,36 +717,45 @@ def settle_blank_cells(
     are left out.
     """
     used = [name for name in table.columns if name in held or name in interpolated]
-    known = {name: np.isfinite(table.columns[name].values) for name in used}
-    if all(cells.all() for cells in known.values()):
+    has_number = {name: np.isfinite(table.columns[name].values) for name in used}
+    if all(cells.all() for cells in has_number.values()):
         return table, t_s
-    base = known[max(used, key=lambda name: int(known[name].sum()))]
-    sparse = [name for name in used if known[name].any() and (known[name] & base).sum() < 0.9 * base.sum()]
+    fastest = max(used, key=lambda name: int(has_number[name].sum()))
+    is_base = has_number[fastest]
+    # A column of another rate lacks many of these rows; damage blanks only a few.
+    sparse = [
+        name
+        for name in used
+        if has_number[name].any() and (has_number[name] & is_base).sum() < _SAME_RATE_SHARE * is_base.sum()
+    ]
     columns = dict(table.columns)
     for name in sparse:
-        values = _carried(columns[name].values, t_s, known[name], name in held, max_missing)
+        values = _carried(columns[name].values, t_s, has_number[name], name in held, max_missing)
         columns[name] = replace(columns[name], values=values)
-    rows = base & np.logical_and.reduce([np.isfinite(columns[name].values) for name in used])
+    is_kept = is_base & np.logical_and.reduce([np.isfinite(columns[name].values) for name in used])
     changes = []
-    unused = ~rows
+    is_lost = ~is_kept
     if sparse:
         names = ", ".join(f"'{name}'" for name in sparse)
-        other_rows = ~base & np.logical_or.reduce([known[name] for name in used])
-        unused &= ~other_rows
-        if other_rows.any():
+        # Rows between those of the fastest column: their values went to its rows.
+        is_merged = ~is_base & np.logical_or.reduce([has_number[name] for name in used])
+        is_lost &= ~is_merged
+        if is_merged.any():
             changes.append(
-                RowChange("merged", int(other_rows.sum()), f"with {names}, which have another rate")
+                RowChange("merged", int(is_merged.sum()), f"with {names}, which have another rate")
             )
-        blank = rows & ~np.logical_and.reduce([known[name] for name in sparse])
+        is_completed = is_kept & ~np.logical_and.reduce([has_number[name] for name in sparse])
         how = "voltages were held, and angles interpolated"
-        changes.append(RowChange("completed", int(blank.sum()), f"that lack {names}, of another rate: {how}"))
-    if unused.any():
-        lacking = [name for name in used if not np.isfinite(columns[name].values[unused]).all()]
+        changes.append(
+            RowChange("completed", int(is_completed.sum()), f"that lack {names}, of another rate: {how}")
+        )
+    if is_lost.any():
+        lacking = [name for name in used if not np.isfinite(columns[name].values[is_lost]).all()]
         columns_text = " or ".join(f"'{name}'" for name in lacking)
-        first_s = float(t_s[int(np.argmax(unused))])
+        first_s = float(t_s[int(np.argmax(is_lost))])
         reason = f"without a number in {columns_text} (first at {first_s:.3f} s)"
-        changes.append(RowChange("left out", int(unused.sum()), reason))
-    kept = np.flatnonzero(rows)
+        changes.append(RowChange("left out", int(is_lost.sum()), reason))
+    kept = np.flatnonzero(is_kept)
     return replace(table, columns=columns).selected(kept, changes), t_s[kept]
 
 
@@ -738,15 +804,23 @@ def substitutes(values: Floats) -> Booleans:
     it has no value. Shape: (n,).
     """
     result = np.zeros(values.size, bool)
-    for number in (values.min(initial=np.inf), values.max(initial=-np.inf)):
-        is_number = values == number
-        others = values[~(is_number | result)]
-        if not others.size or is_number.sum() < 2 or is_number.mean() > _MAX_SUBSTITUTES:
+    if not values.size:
+        return result
+    for number in (values.min(), values.max()):
+        has_number = values == number
+        # A single row is a spike, and a number in many rows is a measurement.
+        if has_number.sum() < 2 or has_number.mean() > _MAX_SUBSTITUTES:
             continue
-        beyond = max(float(others.min()) - number, number - float(others.max()))
+        others = values[~(has_number | result)]
+        # Only other values that vary show what is far.
+        if not others.size or not np.ptp(others) > 0.0:
+            continue
+        distance = max(float(others.min()) - number, number - float(others.max()))
+        is_beyond = distance > _FAR_RANGES * float(np.ptp(others))
         # Motors that are off before a flight have a voltage that is beyond the others, but small.
-        is_far = abs(number) > _FAR_RATIO * float(np.abs(others).max())
-        result |= is_number & (beyond > _FAR_RANGES * float(np.ptp(others)) > 0.0) & is_far
+        is_large = abs(number) > _FAR_RATIO * float(np.abs(others).max())
+        if is_beyond and is_large:
+            result |= has_number
     return result
 
 

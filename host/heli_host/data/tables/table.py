@@ -107,40 +107,41 @@ class Table:
         columns are not resampled. Columns shorter than the longest are then omitted, and so are rows of zeros
         at the end, which come from a buffer that is too long.
         """
-        timed = {name: column for name, column in self.columns.items() if column.t_s is not None}
-        if not timed:
-            length = len(self)
-            longest_columns = {
-                name: column for name, column in self.columns.items() if column.values.size == length
-            }
-            used_count = _rows_before_trailing_zeros([column.values for column in longest_columns.values()])
-            aligned = replace(self, columns=longest_columns)
-            if used_count == length:
-                return aligned
-            zeros = RowChange("left out", length - used_count, "of zeros at the end")
-            return aligned.selected(np.arange(used_count), [zeros])
-        fullest = max(timed.values(), key=lambda column: column.values.size)
-        assert fullest.t_s is not None
-        start_s = max(
-            float(column.t_s[0]) for column in timed.values() if column.t_s is not None and column.t_s.size
-        )
-        t_s = fullest.t_s[fullest.t_s >= start_s]
+        times_of_columns = {
+            name: column.t_s for name, column in self.columns.items() if column.t_s is not None
+        }
+        if not times_of_columns:
+            return self._without_short_columns()
+        fullest_t_s = max(times_of_columns.values(), key=len)
+        # Before it, a signal has no value yet.
+        start_s = max(float(column_t_s[0]) for column_t_s in times_of_columns.values() if column_t_s.size)
+        t_s = fullest_t_s[fullest_t_s >= start_s]
         if t_s.size < 2:
             raise FlightDataError(
                 f"{self.source}: its signals have no common time span", "give the signals of one flight"
             )
         changes = list(self.changes)
-        if t_s.size < fullest.t_s.size:
-            changes.append(
-                RowChange("left out", fullest.t_s.size - t_s.size, "before the first value of all signals")
-            )
+        early_rows = fullest_t_s.size - t_s.size
+        if early_rows:
+            changes.append(RowChange("left out", early_rows, "before the first value of all signals"))
         columns = {SHARED_TIME: Column(t_s - t_s[0], "s")}
-        for name, column in timed.items():
-            assert column.t_s is not None
-            if column.t_s.size:
-                values = _at_times(column.values, column.t_s, t_s, name in interpolated)
+        for name, column_t_s in times_of_columns.items():
+            if column_t_s.size:
+                column = self.columns[name]
+                values = _at_times(column.values, column_t_s, t_s, is_interpolated=name in interpolated)
                 columns[name] = Column(values, column.unit)
         return replace(self, columns=columns, changes=tuple(changes), places=None)
+
+    def _without_short_columns(self) -> Table:
+        """Leave out the columns that are shorter than the longest, and rows of zeros at the end."""
+        length = len(self)
+        columns = {name: column for name, column in self.columns.items() if column.values.size == length}
+        table = replace(self, columns=columns)
+        used_rows = _rows_before_trailing_zeros([column.values for column in columns.values()])
+        if used_rows == length:
+            return table
+        zeros = RowChange("left out", length - used_rows, "of zeros at the end")
+        return table.selected(np.arange(used_rows), [zeros])
 
 
 def _at_times(values: Floats, value_times_s: Floats, t_s: Floats, is_interpolated: bool) -> Floats:
@@ -373,7 +374,7 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
     text = text.str.replace(_DURATION, _hours, regex=True)
     text = text.str.replace(_MONTH, lambda match: f"{match.lastindex:02d}", regex=True)
     text = text.str.replace(_IN_LETTERS, lambda match: ":".join(filter(None, match.groups())), regex=True)
-    samples = text.iloc[:: max(1, len(text) // 50)]
+    samples = text.iloc[:: max(1, len(text) // 50)]  # enough to recognise the form
     if samples.str.match(_CLOCK).mean() >= _MIN_CLOCK_SHARE:
         seconds, has_day = _clock_seconds(text), False
     elif samples.str.match(f"{_DATE}|{_CLOCK_FIRST}").mean() >= _MIN_CLOCK_SHARE:
@@ -384,10 +385,12 @@ def seconds_of(cells: pandas.Series) -> Floats | None:
     is_known = np.isfinite(seconds)
     if not is_known.any():
         return None
+    known_s = seconds[is_known]
     if not has_day:
-        day_changes = np.diff(seconds[is_known], prepend=seconds[is_known][:1]) < -0.5 * _DAY_S
-        seconds[is_known] += _DAY_S * np.cumsum(day_changes)
-    result: Floats = seconds - seconds[is_known][0]
+        # Times without a date fall by nearly a day at midnight.
+        is_midnight = np.diff(known_s, prepend=known_s[:1]) < -0.5 * _DAY_S
+        seconds[is_known] += _DAY_S * np.cumsum(is_midnight)
+    result: Floats = seconds - known_s[0]
     return result
 
 

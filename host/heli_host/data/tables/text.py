@@ -144,8 +144,6 @@ def read_text(path: Path) -> Table:
 
     Separator and decimal mark are recognised. Names, units and comments are optional.
     """
-    import pandas
-
     lines = _read_lines(path)
     notes = "\n".join(line.strip().lstrip("#%/ ") for line in lines if line.strip().startswith(_COMMENTS))
     body = [
@@ -169,12 +167,13 @@ def read_text(path: Path) -> Table:
             "give a table with one row per sample, separated by , ; or tabs",
         )
     if stamps:
+        # The times of reception become the last column.
         body = [line + dialect.separator + stamp for line, stamp in zip(body, stamps, strict=True)]
         sampled_lines = body[:: max(1, len(body) // _LOOKED_AT)]
     start = _first_row(body[:_LOOKED_AT], dialect, sampled_lines)
     # A capture may begin between two headers: rows above a header are rows, too.
     is_early = [_is_row(line, dialect, sampled_lines) for line in body[:start]]
-    header = list(itertools.compress(body, [not early for early in is_early]))
+    header = [line for line, early in zip(body[:start], is_early, strict=True) if not early]
     rows = [*itertools.compress(body, is_early), *body[start:]]
     if not rows:
         raise FlightDataError(
@@ -183,15 +182,38 @@ def read_text(path: Path) -> Table:
         )
     header = header or _commented_header(lines, rows, dialect)
     if dialect.separator == ",":
-        rows = _with_points_in_clocks(rows, len(_split_cells(header[-1], dialect)) if header else 0)
+        name_count = len(_split_cells(header[-1], dialect)) if header else 0
+        rows = _with_points_in_clocks(rows, name_count)
     _refuse_other_header(path, header, rows, dialect)
     rows, width, places, changes = _whole_rows(rows, header, dialect)
     check_columns(path, width)
     names, units = _names_and_units(_with_row_name(path, header, rows, dialect, width), dialect, width)
     if stamps:
         names[-1] = _STAMP_NAME
+    frame = _frame_of_rows(path, rows, dialect, width)
+    if len(frame) < len(rows):
+        places = None
+        changes.append(RowChange("left out", len(rows) - len(frame), "with unbalanced quotes"))
+    columns, unread, time_changes = _columns_of_frame(frame, rows, names, units, dialect)
+    changes += time_changes
+    if not columns:
+        raise FlightDataError(
+            f"{path}: the file has no columns of numbers", "give a table with one row per sample"
+        )
+    labels = [
+        frame[index] for index, name in enumerate(names) if name in unread and frame[index].nunique() > 1
+    ]
+    if len(labels) == 1:
+        columns = _signals_of_labels(labels[0], columns) or columns
+    return Table(str(path), columns, notes, bool(header), tuple(changes), unread, places)
+
+
+def _frame_of_rows(path: Path, rows: list[str], dialect: Dialect, width: int) -> pandas.DataFrame:
+    """Parse rows with `width` cells each; rows with unbalanced quotes are left out."""
+    import pandas
+
     try:
-        frame = pandas.read_csv(
+        return pandas.read_csv(
             io.StringIO("\n".join(rows)),
             sep=r"\s+" if dialect.separator == " " else dialect.separator,
             decimal=dialect.decimal,
@@ -206,47 +228,67 @@ def read_text(path: Path) -> Table:
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise FlightDataError(f"{path}: not a table ({reason})", "check its quotes and separators") from error
-    if len(frame) < len(rows):
-        places = None
-        changes.append(RowChange("left out", len(rows) - len(frame), "with unbalanced quotes"))
+
+
+def _columns_of_frame(
+    frame: pandas.DataFrame, rows: list[str], names: list[str], units: list[str], dialect: Dialect
+) -> tuple[dict[str, Column], dict[str, str], list[RowChange]]:
+    """Return the columns of numbers and times, a cell of each other column, and the changes of times."""
     columns: dict[str, Column] = {}
     unread: dict[str, str] = {}
+    changes: list[RowChange] = []
     for index, name in enumerate(names):
-        cell = ""
-        texts = frame[index]
-        values, unit = numbers_of(texts, dialect)
-        is_padded = False
+        cells = frame[index]
+        values, unit = numbers_of(cells, dialect)
+        padded = None
         if len(frame) == len(rows) and _falls_within_seconds(values):
-            cells = [_split_cells(row, dialect)[index : index + 1] for row in rows]
-            padded = pandas.Series(cells).str[0].str.replace(dialect.decimal, ".")
-            times = pandas.to_numeric(with_padded_fractions(padded), errors="coerce").to_numpy(np.float64)
-            if (np.diff(times) >= 0.0).all():
-                texts, values, is_padded = padded, times, True
-        clock_s = None if np.isfinite(values).mean() > 0.5 else seconds_of(frame[index])
-        if is_padded or clock_s is not None:
-            changes += _padded_change(name, texts.dropna().astype(str).str.strip())
+            padded = _padded_times(rows, index, dialect)
+        if padded is not None:
+            changes += _padded_change(name, padded.texts)
+            values = padded.times
+        has_numbers = bool(np.isfinite(values).any())
+        is_mostly_numbers = np.isfinite(values).mean() > 0.5
+        clock_s = None if is_mostly_numbers else seconds_of(cells)
         if clock_s is not None:
+            changes += _padded_change(name, cells)
             columns[name] = Column(clock_s, "s")
-        elif np.isfinite(values).any() and not (cell := _other_notation(frame[index], values)):
+            continue
+        other_cell = _other_notation(cells, values) if has_numbers else ""
+        if has_numbers and not other_cell:
             columns[name] = Column(values, units[index] or unit)
-        elif frame[index].notna().any():
-            unread[name] = cell or str(frame[index].dropna().iloc[0]).strip()
-    if not columns:
-        raise FlightDataError(
-            f"{path}: the file has no columns of numbers", "give a table with one row per sample"
-        )
-    labels = [
-        frame[index] for index, name in enumerate(names) if name in unread and frame[index].nunique() > 1
-    ]
-    if len(labels) == 1:
-        # A database exports the number of a signal and the limits of its request, too.
-        varying = {
-            name: column
-            for name, column in columns.items()
-            if pandas.Series(column.values).groupby(labels[0]).nunique().max() > 1
-        }
-        columns = (_signals_by_name(labels[0], varying) if len(varying) == 2 else {}) or columns
-    return Table(str(path), columns, notes, bool(header), tuple(changes), unread, places)
+        elif cells.notna().any():
+            unread[name] = other_cell or str(cells.dropna().iloc[0]).strip()
+    return columns, unread, changes
+
+
+class _PaddedTimes(NamedTuple):
+    """Times whose fractions of seconds were written without zeros."""
+
+    texts: pandas.Series  # As in the file
+    times: Floats
+
+
+def _padded_times(rows: list[str], column: int, dialect: Dialect) -> _PaddedTimes | None:
+    """Read a column as times whose fractions lack zeros; None if the times then fall."""
+    import pandas
+
+    cells = [_split_cells(row, dialect)[column : column + 1] for row in rows]
+    texts = pandas.Series(cells).str[0].str.replace(dialect.decimal, ".")
+    times: Floats = pandas.to_numeric(with_padded_fractions(texts), errors="coerce").to_numpy(np.float64)
+    return _PaddedTimes(texts, times) if (np.diff(times) >= 0.0).all() else None
+
+
+def _signals_of_labels(labels: pandas.Series, columns: dict[str, Column]) -> dict[str, Column]:
+    """Divide a table with one value per row by its `labels`; empty if it is another table."""
+    import pandas
+
+    # A database exports the number of a signal and the limits of its request, too.
+    varying = {
+        name: column
+        for name, column in columns.items()
+        if pandas.Series(column.values).groupby(labels).nunique().max() > 1
+    }
+    return _signals_by_name(labels, varying) if len(varying) == 2 else {}
 
 
 def _falls_within_seconds(values: Floats) -> bool:
@@ -257,8 +299,9 @@ def _falls_within_seconds(values: Floats) -> bool:
     return bool(np.ptp(whole) > 1.0 and (np.diff(whole) >= 0.0).all() and (np.diff(values) < 0.0).any())
 
 
-def _padded_change(name: str, texts: pandas.Series) -> list[RowChange]:
+def _padded_change(name: str, cells: pandas.Series) -> list[RowChange]:
     """Report times whose fractions of seconds are whole numbers without zeros; empty if they are not."""
+    texts = cells.dropna().astype(str).str.strip()
     padded = with_padded_fractions(texts)
     count = int((padded != texts).sum())
     change = RowChange("retimed", count, f"whose fractions of seconds in '{name}' lack their zeros")
@@ -322,17 +365,18 @@ def _without_names_in_rows(lines: list[str]) -> list[str]:
     # The longest list of names shows the order of the columns best.
     order = list(dict.fromkeys(itertools.chain(*sorted(complete, key=len, reverse=True))))
     units = {name: unit for _, values in named for name, _, unit in values if unit}
+    # The time of a line is in front of its values, or behind them.
     stamps = [
-        _STAMP.search(line[:start]) or _LAST_STAMP.search(line)
-        for line, (start, _) in zip(lines, named, strict=True)
+        _STAMP.search(line[:values_at]) or _LAST_STAMP.search(line)
+        for line, (values_at, _) in zip(lines, named, strict=True)
     ]
     has_stamps = sum(stamp is not None for stamp in stamps) > _LABEL_SHARE * len(lines)
     header = [f"{name} [{units[name]}]" if name in units else name for name in order]
     # What a board prints at its start is above the header.
-    start = next(index for index, names in enumerate(names_of_lines) if names in complete)
-    rows = [*lines[:start], "\t".join([*header, _STAMP_NAME] if has_stamps else header)]
+    first = next(index for index, names in enumerate(names_of_lines) if names in complete)
+    rows = [*lines[:first], "\t".join([*header, _STAMP_NAME] if has_stamps else header)]
     lines_with_names = list(zip(lines, named, names_of_lines, stamps, strict=True))
-    for line, (_, values), names, stamp in lines_with_names[start:]:
+    for line, (_, values), names, stamp in lines_with_names[first:]:
         if names not in complete:
             rows.append(line.replace("\t", " "))
             continue
@@ -421,8 +465,6 @@ def _without_kinds(path: Path, lines: list[str], notes: list[str]) -> list[str]:
 
     The first value of each line is the time. Names may be in a line with words behind the kind.
     """
-    import pandas
-
     matches = [_KIND.match(line) for line in lines]
     if sum(match is not None for match in matches) < _LABEL_SHARE * len(lines):
         return lines
@@ -430,35 +472,10 @@ def _without_kinds(path: Path, lines: list[str], notes: list[str]) -> list[str]:
     if dialect is None:
         return lines
     parts = [_KindOfLine(match[1], _split_cells(match[2], dialect)) for match in matches if match]
-    messages = [
-        part
-        for part in parts
-        if _is_value(part.cells[0], dialect)
-        and all(_is_number(cell, dialect) or not cell for cell in part.cells[1:])
-    ]
-    counts = Counter((message.kind, len(message.cells)) for message in messages)
-    widths = {
-        kind: width for (kind, width), count in counts.items() if count >= _MIN_NAMES_SHARE * len(lines)
-    }
-    messages = [message for message in messages if widths.get(message.kind) == len(message.cells)]
-    changes = sum(message.kind != other.kind for message, other in itertools.pairwise(messages))
-    if (
-        not 1 < len(widths) <= _MAX_SIGNALS
-        or len(messages) < _LABEL_SHARE * len(lines)
-        or changes < _MIN_CHANGES * len(messages)
-        or max(widths.values()) < _MIN_NAMED
-        # A name above the kinds: they are a column of a table.
-        or any(part.kind not in widths and {len(part.cells)} == set(widths.values()) for part in parts[:1])
-    ):
+    messages, widths = _messages_of_kinds(parts, len(lines), dialect)
+    if not messages:
         return lines
-    first = pandas.Series([message.cells[0].replace(dialect.decimal, ".") for message in messages])
-    numbers: Floats = pandas.to_numeric(first, errors="coerce").to_numpy(np.float64)
-    times = numbers if np.isfinite(numbers).any() else seconds_of(first)
-    if (
-        times is None
-        or np.nanmean(np.diff(times) < 0.0) > 1.0 - _LABEL_SHARE
-        or np.nanmax(times) == np.nanmin(times)
-    ):
+    if not _have_common_time([message.cells[0].replace(dialect.decimal, ".") for message in messages]):
         raise FlightDataError(
             f"{path}: its lines are of several kinds ({', '.join(widths)}), whose first values are no time "
             "that all share",
@@ -467,20 +484,60 @@ def _without_kinds(path: Path, lines: list[str], notes: list[str]) -> list[str]:
     in_notes = [match for match in map(_KIND.match, notes) if match]
     headers = [_KindOfLine(match[1], _split_cells(match[2], dialect)) for match in in_notes] + parts
     names = _names_by_kind(headers, widths, dialect)
-    shared = Counter(itertools.chain(*(each[1:] for each in names.values())))
-    order = {
-        (kind, place): name if shared[name] == 1 else f"{kind} {name}"
-        for kind, each in names.items()
-        for place, name in enumerate(each)
-        if place
+    time_names = {time_name for time_name, *_ in names.values()}
+    name_counts = Counter(itertools.chain(*(value_names for _, *value_names in names.values())))
+    # A column for each value of each kind; names that several kinds have get the kind in front.
+    columns = {
+        (kind, place): name if name_counts[name] == 1 else f"{kind} {name}"
+        for kind, (_, *value_names) in names.items()
+        for place, name in enumerate(value_names, 1)
     }
-    first_names = {each[0] for each in names.values()}
-    rows = ["\t".join([first_names.pop() if len(first_names) == 1 else _STAMP_NAME, *order.values()])]
+    rows = ["\t".join([time_names.pop() if len(time_names) == 1 else _STAMP_NAME, *columns.values()])]
     for kind, cells in messages:
         plain = [cell.replace(dialect.decimal, ".") for cell in cells]
-        row = [(plain[place] or "nan") if kind == each else "nan" for each, place in order]
+        row = [(plain[place] or "nan") if kind == column_kind else "nan" for column_kind, place in columns]
         rows.append("\t".join([plain[0], *row]))
     return rows
+
+
+def _messages_of_kinds(
+    parts: Sequence[_KindOfLine], line_count: int, dialect: Dialect
+) -> tuple[list[_KindOfLine], dict[str, int]]:
+    """Return the lines that are messages of several kinds, and the number of values of each kind; nothing if
+    the words in front of the lines are not kinds of messages.
+    """
+    messages = [
+        part
+        for part in parts
+        if _is_value(part.cells[0], dialect)
+        and all(_is_number(cell, dialect) or not cell for cell in part.cells[1:])
+    ]
+    counts = Counter((message.kind, len(message.cells)) for message in messages)
+    widths = {
+        kind: width for (kind, width), count in counts.items() if count >= _MIN_NAMES_SHARE * line_count
+    }
+    messages = [message for message in messages if widths.get(message.kind) == len(message.cells)]
+    if not 1 < len(widths) <= _MAX_SIGNALS or max(widths.values()) < _MIN_NAMED:
+        return [], {}
+    changes = sum(message.kind != other.kind for message, other in itertools.pairwise(messages))
+    if len(messages) < _LABEL_SHARE * line_count or changes < _MIN_CHANGES * len(messages):
+        return [], {}
+    # A name above the kinds: they are a column of a table.
+    first_line = parts[0]
+    is_header = first_line.kind not in widths and {len(first_line.cells)} == set(widths.values())
+    return ([], {}) if is_header else (messages, widths)
+
+
+def _have_common_time(first_cells: Sequence[str]) -> bool:
+    """Whether the first cells of messages are a time: it rises, except in damaged lines."""
+    import pandas
+
+    cells = pandas.Series(first_cells)
+    numbers: Floats = pandas.to_numeric(cells, errors="coerce").to_numpy(np.float64)
+    times = numbers if np.isfinite(numbers).any() else seconds_of(cells)
+    if times is None or np.nanmax(times) == np.nanmin(times):
+        return False
+    return bool(np.nanmean(np.diff(times) < 0.0) <= 1.0 - _LABEL_SHARE)
 
 
 class _KindOfLine(NamedTuple):
@@ -520,45 +577,47 @@ def _whole_rows(
     A row with another number of cells than the table has lost or gained a separator, so its cells are not in
     their columns. Rows of which many are short by the same number lack only blank cells at their end.
     """
-    counts = np.array([_cell_count(row, dialect) for row in rows])
-    width = int(statistics.mode(counts.tolist()))
-    header_counts = [_cell_count(line, dialect) for line in header]
-    # A separator at the end of each line makes no column.
-    ends = np.array([row.rstrip(" \r\n").endswith(dialect.separator) for row in rows])
-    has_last_name = any(
-        count == width and not line.rstrip().endswith(dialect.separator)
-        for line, count in zip(header, header_counts, strict=True)
-    )
-    has_names_only = width - 1 in header_counts
-    if (
-        (dialect.separator not in " \t" or has_names_only)
-        and ends[counts == width].all()
-        and not has_last_name
-    ):
-        counts, width = counts - ends, width - 1
+    cell_counts = np.array([_cell_count(row, dialect) for row in rows])
+    width = int(statistics.mode(cell_counts.tolist()))
+    has_separator_last = np.array([row.rstrip(" \r\n").endswith(dialect.separator) for row in rows])
+    if has_separator_last[cell_counts == width].all() and not _has_blank_last_column(header, width, dialect):
+        cell_counts, width = cell_counts - has_separator_last, width - 1
     # Two rates in one table: the rows of one of them may lack their blank cells at the end.
-    sizes, number = np.unique(counts, return_counts=True)
-    full = sizes[(sizes > width) & (sizes < 2 * width - 1) & (number > _FULL_SHARE * counts.size)]
-    width = int(full.max()) if full.size else width
-    usual_sizes = {int(size) for size in sizes[(sizes <= width) & (number > _SHORT_SHARE * counts.size)]}
-    is_whole = np.isin(counts, [width, *usual_sizes]) | ((counts == width + 1) & ends)
-    changes: list[RowChange] = []
-    places: Integers | None = None
-    if not is_whole.all():
-        bad = np.flatnonzero(~is_whole)
-        changes.append(
-            RowChange(
-                "left out",
-                bad.size,
-                f"whose line is damaged: not {width} cells (first: row {int(bad[0]) + 1} of numbers, "
-                f"{int(counts[bad[0]])} {'cell' if counts[bad[0]] == 1 else 'cells'})",
-            )
-        )
-        # Two lines in one are two rows; a line of text, such as an error, is none.
-        lengths = np.maximum(np.round(counts / width), 1).astype(int)
-        lengths[[row for row in bad if counts[row] == 1 and not _is_value(rows[row].strip(), dialect)]] = 0
-        places = (np.cumsum(np.where(is_whole, 1, lengths)) - 1)[is_whole]
-    return list(itertools.compress(rows, is_whole.tolist())), width, places, changes
+    sizes, row_counts = np.unique(cell_counts, return_counts=True)
+    is_full = (sizes > width) & (sizes < 2 * width - 1) & (row_counts > _FULL_SHARE * len(rows))
+    width = int(sizes[is_full].max()) if is_full.any() else width
+    frequent_sizes = sizes[(sizes <= width) & (row_counts > _SHORT_SHARE * len(rows))]
+    is_whole = np.isin(cell_counts, [width, *frequent_sizes.tolist()])
+    is_whole |= (cell_counts == width + 1) & has_separator_last
+    whole_rows = list(itertools.compress(rows, is_whole.tolist()))
+    if is_whole.all():
+        return whole_rows, width, None, []
+    bad = np.flatnonzero(~is_whole)
+    bad_cells = int(cell_counts[bad[0]])
+    change = RowChange(
+        "left out",
+        bad.size,
+        f"whose line is damaged: not {width} cells (first: row {int(bad[0]) + 1} of numbers, "
+        f"{bad_cells} {'cell' if bad_cells == 1 else 'cells'})",
+    )
+    # Two lines in one are two rows; a line of text, such as an error, is none.
+    rows_in_line = np.maximum(np.round(cell_counts / width), 1).astype(int)
+    text_lines = [row for row in bad if cell_counts[row] == 1 and not _is_value(rows[row].strip(), dialect)]
+    rows_in_line[text_lines] = 0
+    places = (np.cumsum(np.where(is_whole, 1, rows_in_line)) - 1)[is_whole]
+    return whole_rows, width, places, [change]
+
+
+def _has_blank_last_column(header: list[str], width: int, dialect: Dialect) -> bool:
+    """Whether rows that end with a separator have a blank cell behind it; otherwise it makes no column."""
+    cell_counts = [_cell_count(line, dialect) for line in header]
+    # Tabs at the end of lines are separators of blank cells, unless the header has one name less.
+    if dialect.separator in " \t" and width - 1 not in cell_counts:
+        return True
+    return any(
+        count == width and not line.rstrip().endswith(dialect.separator)
+        for line, count in zip(header, cell_counts, strict=True)
+    )
 
 
 def _commented_header(lines: list[str], rows: list[str], dialect: Dialect) -> list[str]:
@@ -605,14 +664,14 @@ def _signals_by_name(labels: pandas.Series, columns: dict[str, Column]) -> dict[
 
     Such a table has three columns: a time, the name of a signal, and its value.
     """
-    falls = {name: float(np.mean(np.diff(column.values) < 0.0)) for name, column in columns.items()}
-    # The newest row may come first: then the times fall.
-    turns = {
-        name: (column.unit not in TIME_UNITS, min(falls[name], 1.0 - falls[name]))
-        for name, column in columns.items()
-    }
-    clock = columns[min(turns, key=lambda name: turns[name])]
-    (value,) = (column for column in columns.values() if column is not clock)
+
+    def clock_rank(column: Column) -> tuple[bool, float]:
+        """Rank columns: first those with a unit of time, then those that turn back least often."""
+        falling_share = float(np.mean(np.diff(column.values) < 0.0))
+        # The newest row may come first: then the times fall.
+        return column.unit not in TIME_UNITS, min(falling_share, 1.0 - falling_share)
+
+    clock, value = sorted(columns.values(), key=clock_rank)
     counts = labels.value_counts()
     counts = counts[counts > _MIN_SIGNAL_ROWS]
     if not _MIN_NAMED <= counts.size <= _MAX_SIGNALS:
@@ -636,6 +695,7 @@ def numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
     values = pandas.to_numeric(cells, errors="coerce").to_numpy(np.float64, copy=True)
     unread = ~np.isfinite(values) & cells.notna().to_numpy()
     if unread.any():
+        # Other notations of numbers first, for each cell alone.
         plain = cells[unread].astype(str).str.strip().str.replace(*_FORTRAN_EXPONENT, regex=True)
         plain = plain.str.replace(*_ACCOUNTED, regex=True)
         # One cell of text, as in a repeated header, keeps pandas from reading the decimal commas of a column.
@@ -653,21 +713,22 @@ def numbers_of(cells: pandas.Series, dialect: Dialect) -> tuple[Floats, str]:
         values[unread] = _without_thousands(text.where(thousands), dialect)
         return values, ""
     parts = text.str.extract(_LABELLED)
-    is_labelled = parts[1].notna()
-    labels = (parts[0].fillna("").str.strip() + "|" + parts[2].fillna("").str.strip()).where(is_labelled)
-    if (
-        (labels == "|").mean() > 1.0 - _LABEL_SHARE
-        or unread.mean() < _LABEL_SHARE
-        or is_labelled.mean() < _LABEL_SHARE
-        or parts[1].nunique() < _MIN_DISTINCT
-    ):
+    before, number, behind = parts[0].fillna("").str.strip(), parts[1], parts[2].fillna("").str.strip()
+    is_labelled = number.notna()
+    labels = (before + "|" + behind).where(is_labelled)
+    has_bare_numbers = (labels == "|").mean() > 1.0 - _LABEL_SHARE
+    # Few different numbers, as in `motor2`, are part of a name.
+    if has_bare_numbers or number.nunique() < _MIN_DISTINCT:
         return values, ""
-    label = labels.mode()
-    same = labels == label.iloc[0]
-    if same.mean() < _LABEL_SHARE:
+    if unread.mean() < _LABEL_SHARE or is_labelled.mean() < _LABEL_SHARE:
         return values, ""
-    values[unread] = _without_thousands(parts[1].where(same), dialect)
-    return values, unit_of(label.iloc[0].partition("|")[2])
+    label = labels.mode().iloc[0]
+    is_same = labels == label
+    if is_same.mean() < _LABEL_SHARE:
+        return values, ""
+    values[unread] = _without_thousands(number.where(is_same), dialect)
+    _, _, unit_text = label.partition("|")
+    return values, unit_of(unit_text)
 
 
 def _grouped_numbers(cells: pandas.Series, unread: pandas.Series) -> Floats | None:
@@ -788,22 +849,23 @@ def _first_row(lines: list[str], dialect: Dialect, sampled_lines: list[str]) -> 
     """
     width = statistics.mode(len(_split_cells(line, dialect)) for line in sampled_lines)
     cells = [_split_cells(line, dialect) for line in lines]
-    numbers = [sum(_is_value(cell, dialect) for cell in row) for row in cells]
+    number_counts = [sum(_is_value(cell, dialect) for cell in row) for row in cells]
     name_rows = [
         index
         for index, row in enumerate(cells)
-        if len(row) >= width and not numbers[index] and all(cell.strip() for cell in row[:width])
+        if len(row) >= width and not number_counts[index] and all(cell.strip() for cell in row[:width])
     ]
     if not name_rows:
         # Rows may get more cells in the middle of a file than the names and the first rows have.
-        for index, (names, row) in enumerate(itertools.pairwise(cells)):
-            is_header = not numbers[index] and all(cell.strip() for cell in names)
-            if is_header and _MIN_NAMED <= len(names) == len(row) == numbers[index + 1] < width:
+        for index, (names, next_row) in enumerate(itertools.pairwise(cells)):
+            is_header = not number_counts[index] and all(cell.strip() for cell in names)
+            has_number_per_name = len(names) == len(next_row) == number_counts[index + 1]
+            if is_header and has_number_per_name and _MIN_NAMED <= len(names) < width:
                 return index + 1
     start = max(name_rows, default=-1) + 1
-    for index in range(start, len(lines)):
-        filled = sum(bool(cell.strip()) for cell in cells[index])
-        if len(cells[index]) >= width and 2 * numbers[index] >= max(filled, 1):
+    for index, row in enumerate(cells[start:], start):
+        filled_count = sum(bool(cell.strip()) for cell in row)
+        if len(row) >= width and filled_count and 2 * number_counts[index] >= filled_count:
             return index
     return len(lines)
 
@@ -841,24 +903,22 @@ def _names_and_units(header: list[str], dialect: Dialect, width: int) -> tuple[l
     """
     rows = [_split_cells(line, dialect) for line in header]
     # A row of units may end with a blank one.
-    rows = [row + [""] * (len(row) == width - 1 > 1) for row in rows]
+    rows = [[*row, ""] if len(row) == width - 1 > 1 else row for row in rows]
     # A header that is repeated below the first rows would hide the units.
     rows = [list(row) for row in dict.fromkeys(map(tuple, rows))]
     # The header of LabVIEW has one more name, for a column of comments that the rows lack.
     rows = [row[:width] for row in rows if len(row) in {width, width + 1}]
     units = [""] * width
-    unknown_units = [""] * width
-    if len(rows) > 1 and _are_units(rows[-1], rows[-2]):
+    unit_texts = [""] * width
+    if len(rows) > 1 and _are_units(cells=rows[-1], names=rows[-2]):
         units = [_unit_in_cell(cell) for cell in rows[-1]]
-        unknown_units = [_without_brackets(cell) for cell in rows[-1]]
+        unit_texts = [_without_brackets(cell) for cell in rows[-1]]
         rows = rows[:-1]
-    column_names = (
-        [cell.strip(' "') for cell in rows[-1]] if rows else [f"column {i + 1}" for i in range(width)]
-    )
+    column_names = [cell.strip(' "') for cell in rows[-1]] if rows else [""] * width
     # A unit that is not known stays with the name, so that it can be asked about.
     column_names = [
         f"{name} [{text}]" if text and not unit else name
-        for name, text, unit in zip(column_names, unknown_units, units, strict=True)
+        for name, text, unit in zip(column_names, unit_texts, units, strict=True)
     ]
     names: list[str] = []
     for index, name in enumerate(column_names):
@@ -886,26 +946,30 @@ def _with_row_name(path: Path, header: list[str], rows: list[str], dialect: Dial
     """
     if not header:
         return header
-    cells = _split_cells(header[-1], dialect)
-    is_header = len(cells) > 1 and not any(not cell.strip() or _is_number(cell, dialect) for cell in cells)
-    lacks_names = len(cells) in (width - 1, width - 2) or _MIN_NAMES <= len(cells) < width
-    if not is_header or not lacks_names:
+    names = _split_cells(header[-1], dialect)
+    are_names = len(names) > 1 and all(name.strip() and not _is_number(name, dialect) for name in names)
+    # A title may have a comma or two; a line with many names, or nearly as many as the rows, is a header.
+    lacks_names = len(names) in (width - 1, width - 2) or _MIN_NAMES <= len(names) < width
+    if not are_names or not lacks_names:
         return header
-    first = [_split_cells(row, dialect)[0].strip(' "') for row in rows[:_LOOKED_AT]]
-    numbers = [str(number) for number in range(1, 1 + len(first))]
-    if len(cells) == width - 1 and first == numbers:
+    first_column = [_split_cells(row, dialect)[0].strip(' "') for row in rows[:_LOOKED_AT]]
+    row_numbers = [str(number) for number in range(1, 1 + len(first_column))]
+    if len(names) == width - 1 and first_column == row_numbers:
         return [*header[:-1], f"row{dialect.separator}{header[-1]}"]
-    number, row = next((i, row) for i, row in enumerate(rows, 1) if _cell_count(row, dialect) == width)
-    names = f"{path}: the header names {len(cells)} columns ({', '.join(cells[:3])} ...)"
+    number, row = next(
+        (number, row) for number, row in enumerate(rows, 1) if _cell_count(row, dialect) == width
+    )
+    cause = f"{path}: the header names {len(names)} columns ({', '.join(names[:3])} ...)"
+    # Every second cell would be the digits behind a decimal comma.
     fractions = {cell for each in rows[:_LOOKED_AT] for cell in _split_cells(each, dialect)[1::2]}
-    if width == 2 * len(cells) and all(cell.isdigit() for cell in fractions):
+    if width == 2 * len(names) and all(cell.isdigit() for cell in fractions):
         raise FlightDataError(
-            f"{names}, and the rows have two cells for each: commas separate the columns, and are decimal "
+            f"{cause}, and the rows have two cells for each: commas separate the columns, and are decimal "
             f"marks, too (row {number}: {row[:60]})",
             "write the numbers with points, or separate the columns with semicolons",
         )
     raise FlightDataError(
-        f"{names}, but the rows have {width} cells (first: row {number}: {row[:60]})",
+        f"{cause}, but the rows have {width} cells (first: row {number}: {row[:60]})",
         "give each column one name, and quote cells that contain the separator",
     )
 

@@ -42,14 +42,14 @@ def check_target(port: str | None, sil: bool | None) -> None:
     from heli_host.link.transport import available_ports
 
     ports = available_ports()
-    boards = [port.device for port in ports if is_due(port)]
+    boards = [available.device for available in ports if is_due(available)]
     simulation = "" if sil is None else "--sil for the simulation, or "
     if len(boards) == 1:
         remedy = f"add {simulation}--port {boards[0]} for the Due found there"
     elif boards:
         named = " or ".join(f"--port {device}" for device in boards)
         remedy = f"add {simulation}{named} for one of the {len(boards)} Dues found"
-    elif any(is_due_native(port) for port in ports):
+    elif any(is_due_native(available) for available in ports):
         raise PortError(
             "no board is named, and the Due is plugged in by its native port",
             "move its cable to the programming port, next to the power jack, "

@@ -134,6 +134,7 @@ def run(arguments: list[str] | None = None) -> int:
     try:
         words = sys.argv[1:] if arguments is None else arguments
         verb = next((word for word in words if not word.startswith("-")), None)
+        # In a copy, because --force sets a variable, which must not outlast the command.
         code = contextvars.copy_context().run(
             command_line(verb), arguments, "heli-host", standalone_mode=False
         )

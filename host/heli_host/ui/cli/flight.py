@@ -218,7 +218,7 @@ def fly_plans(
     truth = None
     if options.blind and address is not None:
         truth = Truth.seal(options.simulation_settings(address, plan_names))
-    maker = read_twin(options.twin)
+    twin_maker = read_twin(options.twin)
     with (
         open_board(options.port, address) as heli,
         foxglove_feed(heli, options.foxglove, hidden=options.blind) as feed,
@@ -227,14 +227,14 @@ def fly_plans(
             say_progress(f"viewers: {feed.address}")
         _set_up_board(heli, options, parameters)
         files = _result_files(options)
-        text, transport = board_text(heli, hidden=options.blind), heli.session.transport
-        key = truth_path(files.log)
+        board_line, transport = board_text(heli, hidden=options.blind), heli.session.transport
+        truth_file = truth_path(files.log)
         if truth is not None:
-            truth.write(key)
+            truth.write(truth_file)
         if note := transport_note(transport):
             say_progress(note)
-        say_progress(text, f"flying: {', then '.join(plan.title for plan in plans)}")
-        watch = open_watch(heli, maker)
+        say_progress(board_line, f"flying: {', then '.join(plan.title for plan in plans)}")
+        watch = open_watch(heli, twin_maker)
         with LiveLine() as live:
             summary = fly(
                 heli,
@@ -247,15 +247,16 @@ def fly_plans(
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
                 twin=watch,
                 land_on_change=land_on_alarm,
-                sealed=truth.digest if truth is not None else "",
+                seal_digest=truth.digest if truth is not None else "",
+                # A call after the take-off is not in the log, so that such a flight cannot be repeated.
                 setup=_setup_record(options, parameters, plans) if on_taken_off is None else {},
                 on_taken_off=(lambda: on_taken_off(heli)) if on_taken_off is not None else None,
             )
-    lines = [*summary_lines(summary), f"board: {text}"]
+    lines = [*summary_lines(summary), f"board: {board_line}"]
     if watch is not None:
         lines.append(f"twin: {watch.words()}")
     if truth is not None:
-        lines += [f"sealed: {truth.digest}", f"truth (keep it, share only the other files): {key}"]
+        lines += [f"sealed: {truth.digest}", f"truth (keep it, share only the other files): {truth_file}"]
     return FlownFlight(summary, files.log, tuple(lines), files.json, files.figure)
 
 
@@ -350,7 +351,9 @@ def read_repeat(log: Log, effect_files: Mapping[str, Path]) -> Repeat:
     options["effects"] = ";".join(
         str(effect_files[digest].absolute()) for digest in stored_effect_files.values()
     )
-    is_exact = options.get("speed", "max") == "max" and not options.pop("process", "")
+    # A process of its own has real time; the repetition runs in lockstep, in this process.
+    had_process = bool(options.pop("process", ""))
+    is_exact = options.get("speed", "max") == "max" and not had_process
     return Repeat(
         options=options,
         rig_name=rig_name if _FILE_NAME.fullmatch(rig_name) else "rig",

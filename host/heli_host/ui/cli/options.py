@@ -259,6 +259,7 @@ def sil_address(
         "rig": rig if rig is not None else DEFAULT_RIG,
         "seed": str(seed),
         "speed": MAX_SPEED if factor is None else repr(factor),
+        # In real time, the board must not wait for this process, so it gets one of its own.
         "process": "" if factor is None else "1",
         "board": which_board(board, elf),
         "elf": str(elf) if elf is not None else "",

@@ -52,7 +52,9 @@ def data_on_stdout(*files: Path | None) -> None:
 
 
 def write_result(file: Path | None, content: Mapping[str, Any]) -> bool:
-    """Write a verb's result as JSON, with the number of its schema."""
+    """Write a verb's result as JSON, with the number of its schema. Return whether it went to standard
+    output, where nothing else may follow.
+    """
     import json
 
     from heli_host.data.files import RESULT_SCHEMA, write_text

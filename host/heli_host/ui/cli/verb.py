@@ -103,6 +103,7 @@ def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _V
 
     def decorate(verb: _Verb) -> _Verb:
         parameters: list[inspect.Parameter] = []
+        # By the name of the keyword argument: its dataclass, and the names of its options.
         groups: dict[str, tuple[type[Any], list[str]]] = {}
         for parameter in inspect.signature(verb, eval_str=True).parameters.values():
             group = parameter.annotation
@@ -115,8 +116,8 @@ def with_option_groups(*, without: Collection[str] = ()) -> Callable[[_Verb], _V
 
         @functools.wraps(verb)
         def command(**values: Any) -> None:
-            for name, (group, options) in groups.items():
-                values[name] = group(**{option: values.pop(option) for option in options})
+            for name, (group, option_names) in groups.items():
+                values[name] = group(**{option: values.pop(option) for option in option_names})
             verb(**values)
 
         # Typer reads the signature from this attribute, which types of functions do not have.

@@ -77,8 +77,8 @@ class FlightRequests:
 
     def fly(self, arguments: Mapping[str, Any]) -> Mapping[str, Any]:
         """Run the request ``fly``: take off, fly plans, land. It returns when the motors are off."""
-        plans = arguments.get("plans")
-        names = [str(name) for name in (plans if isinstance(plans, list) else [plans])]
+        requested = arguments.get("plans")
+        names = [str(name) for name in (requested if isinstance(requested, list) else [requested])]
         if not names:
             raise ParameterError("no plan is named", f"choose from {', '.join(self.plans)}")
         for name in names:
@@ -89,6 +89,7 @@ class FlightRequests:
             raise SetpointError("a plan starts only from the table, with the motors off", "land first")
         plans = [self.plans[name] for name in names]
         flight = _PlanFlight(self._heli, plans, self._law.engage)
+        # A recording that the pilot has begun goes on after the flight.
         begins_recording = self._recording.recorder is None
         if begins_recording:
             self._recording.begin(plans, flight.duration_s)

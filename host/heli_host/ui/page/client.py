@@ -282,20 +282,22 @@ def join(address: str) -> PageClient:
     try:
         url = urlsplit(address)
         token = parse_qs(url.query).get("token", [""])[0]
-        is_address = address.startswith((_SCHEME, "http://")) and url.hostname and url.port != 0 and token
+        has_server = bool(url.hostname) and url.port != 0
     # urlsplit raises ValueError for an unbalanced bracket, and for a port above 65535.
     except ValueError:
-        is_address = False
-    if not is_address:
+        has_server = False
+    if not has_server or not token or not address.startswith((_SCHEME, "http://")):
         raise PortError(
             f"{printable(address)} is not the address of a dashboard",
             "give the whole address that heli-host dashboard printed",
         )
     base = f"ws://{url.netloc}"
     with contextlib.ExitStack() as stack:
-        address = f"{base}/ws?role=program&token={token}"
+        socket_address = f"{base}/ws?role=program&token={token}"
         try:
-            socket = stack.enter_context(connect(address, open_timeout=_OPEN_S, compression=None, proxy=None))
+            socket = stack.enter_context(
+                connect(socket_address, open_timeout=_OPEN_S, compression=None, proxy=None)
+            )
         # UnicodeError: a name that no computer has.
         except (OSError, TimeoutError, WebSocketException, UnicodeError) as error:
             raise LinkError(

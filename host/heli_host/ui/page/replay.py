@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 _STEP_S = 0.02
 _MAX_SPEED = 50.0
+_MAX_EVENTS = 1000
+"""Events that the page lists, the newest ones: it gets them in one message."""
 _BEFORE_S = 60.0
 """Length of the history that is shown before the moment of a seek [s]."""
 
@@ -87,7 +89,7 @@ class Replay:
                     "kind": str(event["name"]),
                     "text": in_words(str(event["message"])),
                 }
-                for event in self._log.events[-1000:]
+                for event in self._log.events[-_MAX_EVENTS:]
             ],
         }
 

@@ -176,6 +176,7 @@ class RequestDispatcher:
         self, client: Outbox, name: str, action: Action, message: Mapping[str, Any]
     ) -> None:
         """Run an action of the source if the client may request it, and send the result or the error."""
+        # While the action waits in its queue, a stop may come, which ends the epoch.
         source, epoch = self._source, self._source.stop_epoch()
         if not self._is_allowed(client, action):
             pilot = self._lease.name(self._lease.pilot) or "no page"

@@ -11,6 +11,7 @@ import contextlib
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, MutableMapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -36,6 +37,7 @@ _SWITCH_S = 0.001
 accepted connection to the port. With Python's 0.005 s and two busy threads, these take 80 ms."""
 _RECEIVE_BUFFER_BYTES = 65536
 _START_S = 10.0
+_START_LOOK_S = 0.01
 _END_S = 3.0
 _LONGEST_MESSAGE_BYTES = 65536
 
@@ -79,15 +81,13 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
     server = _PageServer(Service(source, guard, notes).application())
     gate = Gate(listening, StopEndpoint(source, guard, notes), server.take, notes)
     thread = threading.Thread(target=server.run, kwargs={"sockets": []}, name="heli-host page", daemon=True)
-    before_s = sys.getswitchinterval()
+    switch_interval_before_s = sys.getswitchinterval()
     sys.setswitchinterval(_SWITCH_S)
     thread.start()
-    started = threading.Event()
+    end_s = time.monotonic() + _START_S
     try:
-        for _ in range(round(_START_S / 0.01)):
-            if server.started or not thread.is_alive():
-                break
-            started.wait(0.01)
+        while not server.started and thread.is_alive() and time.monotonic() < end_s:
+            time.sleep(_START_LOOK_S)
         if not server.started:
             raise PortError(
                 "the server of the dashboard did not start", "report this with the output of the server"
@@ -99,7 +99,7 @@ def serving(source: Source, host: str = "127.0.0.1", port: int = 0, token: str =
         server.should_exit = True
         thread.join(_END_S)
         listening.close()
-        sys.setswitchinterval(before_s)
+        sys.setswitchinterval(switch_interval_before_s)
 
 
 def _open_socket(host: str, port: int) -> socket.socket:

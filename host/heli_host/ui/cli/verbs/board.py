@@ -60,7 +60,7 @@ def ports(json: JsonOption = None) -> None:
     from heli_host.errors import printable
     from heli_host.link.transport import available_ports
 
-    available = sorted(available_ports(), key=lambda port: not is_due(port))
+    available = sorted(available_ports(), key=is_due, reverse=True)
     entries = [
         {
             "device": port.device,
@@ -213,13 +213,13 @@ def flash(
     image = read_image(file)
     say(f"{file}: {len(image.content)} bytes, firmware for the Due, link {LINK_HASH:08x}")
     uploader = find_bossac(bossac)
-    check_target(port, None)
-    assert port is not None
+    check_target(port, sil=None)
+    assert port is not None  # checked by `check_target`, because nothing is simulated
     if "://" in port:
         raise typer.BadParameter(
             f"{port} is not a serial port of this computer; give one, such as /dev/ttyACM0"
         )
-    if uploader.doubtful:
+    if uploader.is_doubtful:
         say(f"note: {_uploader_warning(uploader)}")
     manager = check_modem_manager(_vendors(port))
     if manager.verdict is Verdict.BAD:
@@ -329,7 +329,7 @@ def _description_of_board(port: str, uploader: Bossac) -> str:
         remedy = (
             "press RESET on the board, then heli-host watch; if it stays silent, see docs/how-to/flashing.md"
         )
-        if uploader.doubtful:
+        if uploader.is_doubtful:
             remedy = f"{_uploader_warning(uploader)}; {remedy}"
         raise FlashError(
             f"the flash was written and verified, but the board does not answer ({error.cause})", remedy

@@ -106,7 +106,7 @@ def dashboard(
         raise typer.BadParameter("--replay and --sil exclude each other; give one of them")
     if not sil:
         refuse_without_sil(board=board, elf=elf, model=model, effect=effect, effect_file=effect_file)
-    lands = lands_on_alarm(twin, on_alarm)
+    land_on_alarm = lands_on_alarm(twin, on_alarm)
     if replay is not None:
         if twin is not None:
             raise typer.BadParameter(
@@ -121,8 +121,9 @@ def dashboard(
         _serve_log(replay, rig, host, http_port)
         return
     check_target(port, sil)
-    files = [name for name in (*(plans or ()), *(flown or ())) if name not in plan_names()]
-    offered_plans = [load_plan(name) for name in (*plan_names(), *dict.fromkeys(files))]
+    named_plans = [*(plans or ()), *(flown or ())]
+    plan_files = dict.fromkeys(name for name in named_plans if name not in plan_names())  # each once
+    offered_plans = [load_plan(name) for name in (*plan_names(), *plan_files)]
     # The page names a plan by its title, not by its file.
     first_plans = [load_plan(name).name for name in flown or ()]
     programs = [read_law(path, rig) for path in laws or ()]
@@ -136,7 +137,8 @@ def dashboard(
         plans=offered_plans,
         first_plans=first_plans,
         laws=programs,
-        twin=(read_twin(twin), lands),
+        twin_maker=read_twin(twin),
+        land_on_alarm=land_on_alarm,
         host=host,
         http_port=http_port,
         foxglove=foxglove,
@@ -150,14 +152,13 @@ def _serve_board(
     plans: Sequence[Plan],
     first_plans: Sequence[str],
     laws: Sequence[LawProgram],
-    twin: tuple[TwinMaker | None, bool],
+    twin_maker: TwinMaker | None,
+    land_on_alarm: bool,
     host: str,
     http_port: int,
     foxglove: int | None,
 ) -> None:
-    """Serve the page of a board until Ctrl-C; fly `first_plans` as soon as a page watches. `twin` has the
-    maker of the twin, and whether its alarm lands.
-    """
+    """Serve the page of a board until Ctrl-C; fly `first_plans` as soon as a page watches."""
     from heli_host.fly.recorder import Recorder
     from heli_host.link.transport import transport_label, transport_note
     from heli_host.ui.foxglove_feed import foxglove_feed
@@ -165,14 +166,15 @@ def _serve_board(
     from heli_host.ui.page.serve import serving
 
     outline = _outline_of_rig(rig, simulated_board=address is not None)
+    name = rig_name(rig, simulated=address is not None)
     with open_board(port, address) as heli, foxglove_feed(heli, foxglove) as feed:
         transport = heli.session.transport
         if note := transport_note(transport):
             say(note)
         if feed is not None:
             say(f"viewers: {feed.address}")
-        text = board_text(heli)
-        say(text)
+        board_line = board_text(heli)
+        say(board_line)
         check_board_rig(heli, rig)
 
         def new_recorder(flown: Sequence[Plan], duration_s: float) -> Recorder:
@@ -180,7 +182,7 @@ def _serve_board(
             return Recorder(
                 heli,
                 flight_folder() / "flight.mcap",
-                rig_name=rig_name(rig, simulated=address is not None),
+                rig_name=name,
                 plans=flown,
                 board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
                 duration_s=duration_s,
@@ -190,11 +192,16 @@ def _serve_board(
             if heli.motors_may_run:
                 heli.land(wait=False)
 
-        maker, lands = twin
-        watch = open_watch(heli, maker, land if lands else None)
-        name = rig_name(rig, simulated=address is not None)
+        watch = open_watch(heli, twin_maker, land if land_on_alarm else None)
         cockpit = Cockpit(
-            heli, new_recorder, plans=plans, board=text, rig=outline, twin=watch, laws=laws, rig_name=name
+            heli,
+            new_recorder,
+            plans=plans,
+            board=board_line,
+            rig=outline,
+            twin=watch,
+            laws=laws,
+            rig_name=name,
         )
         try:
             with serving(cockpit, host, http_port) as served:
@@ -209,7 +216,7 @@ def _serve_board(
                         heli.session.wait_for(has_ended.is_set)
                     _land_if_flying(heli)
                 finally:
-                    has_ended.set()
+                    has_ended.set()  # plans that still wait for a page do not begin any more
         finally:
             if watch is not None:
                 watch.close()

@@ -199,6 +199,7 @@ def setpoint(
                     heli.land()
                     say("landed")
         except KeyboardInterrupt as interrupt:
+            # The landing noted what went wrong in it.
             notes = getattr(interrupt, "__notes__", ("the arm landed",))
             error = FlightAborted(f"{name_of(interrupt)} ended the flight; {'; '.join(notes)}")
         except HeliError as failure:
@@ -372,7 +373,7 @@ def _show_sample(heli: Heli, live: LiveDisplay, passed_s: float) -> None:
         return
     fault = fault_text(sample.fault) if sample.fault else ""
     live.replace(
-        heading(sample, passed_s, "watching", None),
+        heading(sample, passed_s, phase="watching", left_s=None),
         numbers_table(sample, counts, illegal),
         *([fault] if fault else []),
         f"link: {link_text(heli.counters)}",

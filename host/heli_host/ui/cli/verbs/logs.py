@@ -171,10 +171,11 @@ def plot(
     check_result_places(json, figure=figure)
     data_on_stdout(json)
     is_table = logs[0].name.lower().endswith((".csv", ".csv.gz"))
-    if len(logs) == 1 and is_table and figure is None and json is None:
-        figure = logs[0].with_name("figure.png")
-        check_result_places(figure=figure)
-    if len(logs) > 1 or json is not None or is_table:
+    needs_metrics = len(logs) > 1 or json is not None or is_table
+    if needs_metrics:
+        if len(logs) == 1 and figure is None and json is None:
+            figure = logs[0].with_name("figure.png")
+            check_result_places(figure=figure)
         _compare_flights(logs, figure, json)
         return
     from heli_host.data.log.figure import write_figure
@@ -254,7 +255,7 @@ def export(
 
     Example: `heli-host export flights/2026-01-31_12-00-00/flight.mcap --csv`
     """
-    if csv + mat + parquet + ros2 != 1:
+    if sum((csv, mat, parquet, ros2)) != 1:
         raise typer.BadParameter(
             "export needs exactly one format; give one of --csv, --mat, --parquet and --ros2"
         )

@@ -60,7 +60,7 @@ def list_parameters(
     with _open_board(port, sil) as heli:
         values = heli.params.dump()
         specs = {name: heli.params.spec(name) for name in values if pattern in name}
-        names = controller_names(heli.session)
+        controllers = controller_names(heli.session)
         content = {
             name: {
                 "value": values[name],
@@ -69,7 +69,8 @@ def list_parameters(
                 "max": spec.max,
                 "default": spec.default,
                 "meaning": spec.meaning,
-                **({"names": names} if name == "controller" else {}),
+                # Each value of this parameter selects a control law.
+                **({"names": controllers} if name == "controller" else {}),
             }
             for name, spec in specs.items()
         }
@@ -80,7 +81,7 @@ def list_parameters(
                 f"no parameter's name contains '{pattern}'; heli-host params list lists all"
             )
         if long:
-            _print_with_meanings(specs, values, names)
+            _print_with_meanings(specs, values, controllers)
             return
         _print_table(specs, values)
 
@@ -171,8 +172,8 @@ def set_parameter(
         before = heli.params[name]
         in_force = heli.params.set(name, value)
         unit = f" {spec.unit}" if spec.unit else ""
-        saved = heli.params.save() if save else None
-        say(f"{name}: {before:g} -> {in_force:g}{unit}{_saved_text(saved)}")
+        generation = heli.params.save() if save else None
+        say(f"{name}: {before:g} -> {in_force:g}{unit}{_saved_text(generation)}")
         write_result(
             json,
             {
@@ -180,7 +181,7 @@ def set_parameter(
                 "before": before,
                 "value": in_force,
                 "unit": spec.unit,
-                "saved": saved is not None,
+                "saved": generation is not None,
             },
         )
 
@@ -246,13 +247,13 @@ def restore(
         changed = heli.params.restore(values)
         for name, value in changed.items():
             say(f"{name} -> {value:g}")
-        saved = heli.params.save() if save else None
-        say(f"{len(changed)} of {len(values)} changed{_saved_text(saved)}")
+        generation = heli.params.save() if save else None
+        say(f"{len(changed)} of {len(values)} changed{_saved_text(generation)}")
         result = {
             "changed": dict(changed),
             "dropped": list(parameter_set.dropped),
             "new": list(parameter_set.new),
-            "saved": saved is not None,
+            "saved": generation is not None,
         }
         write_result(json, result)
 
