@@ -66,7 +66,7 @@ FREE = re.compile(
     (HeliError|WrongDevice|LinkVersionMismatch|Sample|Samples|StepMetrics|Step|Response|Flight|Progress|FlightSummary)\.
     | \ (path|log|log_path|json_path|figure_path|address|option|cause|remedy|label|comment)$
     | \ (source|title|text|note|outcome)$
-    | \ (rig_name|board_name|sealed|setup|end_when|parameters|phase|name|choices|axes|rig|extra)$
+    | \ (rig_name|board_name|seal_digest|setup|end_when|parameters|phase|name|choices|axes|rig|extra)$
     """,
     re.VERBOSE,
 )
