@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Final
 
 from heli_host.board.heli import Heli
 from heli_host.data.flight import Flight
@@ -21,6 +22,10 @@ from heli_sim.rig import Rig
 from heli_sim.sil.inprocess import InProcessTransport
 from heli_sim.sil.options import SilOptions
 from heli_sim.sil.world import SilWorld
+
+WITHOUT_TRAVEL_CHECKS: Final[Mapping[str, float]] = {"travel_silence_s": 0.0}
+"""Parameters with which the board does not tilt the arm to check a silent travel encoder. In a flight that
+measures gains, such a tilt is an error of travel that no gain causes."""
 
 
 def world_of(plant: Plant, seed: int) -> SilWorld:

@@ -23,6 +23,8 @@ from heli_host.ui.cli.flight import FlightOptions, FlownFlight, fly_plans
 from heli_host.ui.cli.options import chosen_parameters
 from heli_host.ui.cli.say import QUIET
 
+from heli_lab.simulated_board import WITHOUT_TRAVEL_CHECKS
+
 
 def fly_law(
     program: LawProgram | None, options: FlightOptions, plan: Plan, typed: str = ""
@@ -82,14 +84,14 @@ def _without_travel_checks(options: FlightOptions) -> FlightOptions:
     """Return the options of a simulated flight in which the board does not tilt the arm to check a silent
     travel encoder.
     """
-    # It checks no encoder while an uploaded law flies. With such tilts, the board's own law has an overshoot
-    # of 23 % instead of 12 %, and does not settle. A real board keeps its checks.
+    # It checks no encoder while an uploaded law flies. With such tilts, the board's own law would have an
+    # overshoot of 23 % instead of 12 %, and not settle. A real board keeps its checks.
     if not options.sil:
         return options
     parameters = options.parameters
     if parameters is None:
         parameters = chosen_parameters(options.params, options.gains)
-    return replace(options, parameters={"travel_silence_s": 0.0, **parameters})
+    return replace(options, parameters={**WITHOUT_TRAVEL_CHECKS, **parameters})
 
 
 STEP_deg: Final = 10.0

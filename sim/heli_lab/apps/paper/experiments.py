@@ -35,7 +35,7 @@ from heli_sim.sil.world import SilWorld
 
 from heli_lab.errors import IdentifyError
 from heli_lab.fit.records import Record
-from heli_lab.simulated_board import connected, fly_and_read, world_of
+from heli_lab.simulated_board import WITHOUT_TRAVEL_CHECKS, connected, fly_and_read, world_of
 
 TABLE_DEG: Final = -25.0
 """Elevation of the arm on its table [deg]."""
@@ -338,6 +338,7 @@ def fly_plan(
                 on_progress(min(1.0, progress.t_s / length_s))
 
         load_gains(heli.params, gains)
+        heli.params.restore(WITHOUT_TRAVEL_CHECKS)
         sample = heli.latest
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
         route = take_off([plan], dict(heli.params), start_deg)

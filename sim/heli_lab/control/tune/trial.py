@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 
 from heli_lab.control.tune.design import TRAVEL_STEP_DEG, Design
 from heli_lab.control.tune.loops import LOOPS, open_loops
-from heli_lab.simulated_board import connected, fly_and_read, world_of
+from heli_lab.simulated_board import WITHOUT_TRAVEL_CHECKS, connected, fly_and_read, world_of
 
 PLAN: Final = """
 title = "Take-off, a step of travel and back, sines"
@@ -79,7 +79,7 @@ def try_gains(
             on_progress(min(1.0, progress.t_s / length_s))
 
     with connected(world_of(plant, seed)) as heli:
-        heli.params.restore(parameters)
+        heli.params.restore({**WITHOUT_TRAVEL_CHECKS, **parameters})
         heli.wait(0.2)  # Seconds until a sample has arrived
         sample = heli.latest
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])
