@@ -182,7 +182,7 @@ def _message_struct(message: Table) -> list[str]:
         f"  {CPP_TYPE[field['type']]} {field['name']} = {{}};  // {field['unit'] or '-'}" for field in fields
     ]
     offsets = [sum(size_of(field["type"]) for field in fields[:index]) for index in range(len(fields))]
-    if message["kind"] in ("command", "stream"):  # the board checks their floats together
+    if message["kind"] in ("command", "stream"):  # the board's dispatcher uses kFloats
         floats = [index for index, field in enumerate(fields) if field["type"] == "f32"]
         first = floats[0] if floats else 0
         lines.append(f"  static constexpr Floats kFloats = {{{offsets[first]}, {first}, {len(floats)}}};")

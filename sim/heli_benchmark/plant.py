@@ -258,8 +258,8 @@ class MujocoPlant:
         up = self._up.copy()
         climb = np.empty(2)
         for i, site in enumerate(self._sites):
-            in_site_axes = 0  # the velocity is given in the axes of the world
-            mujoco.mj_objectVelocity(physics, data, _SITE, site, velocity, in_site_axes)
+            is_in_site_axes = 0  # 0: the velocity is in the axes of the world
+            mujoco.mj_objectVelocity(physics, data, _SITE, site, velocity, is_in_site_axes)
             climb[i] = self._speed_m_s.dot(up)
         at = Moment(
             self._time_s,

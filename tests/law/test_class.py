@@ -230,6 +230,8 @@ def problems(folder: Path, first: Marked, second: Marked, before: str) -> list[s
             if name in hostile
             else mark["points"] > 0.0 and not mark["reason"]
         )
+        if name.startswith("full_"):
+            checks[f"{name}: the takeover is not the reason"] = "own law took over: " in mark["reason"]
         checks[f"{name}: no mark.json"] = (folder / name / "marked" / "mark.json").is_file()
         # Only the first run flies on the rig.
         second_mark = {**second.marks.get(name, {}), "rig": mark["rig"]}
@@ -315,6 +317,9 @@ def test_what_is_not_a_gain_and_a_link_are_refused(tmp_path: Path) -> None:
         (tmp_path / "gains.toml").write_text(f"[parameters]\n{name}\n")
         with pytest.raises(HeliError, match="not a gain"):
             read_submission(tmp_path, LIMITS)
+    (tmp_path / "gains.toml").write_text("elevation_kp = 0.2\n")
+    with pytest.raises(HeliError, match=r"outside of \[parameters\]; write the line \[parameters\] above"):
+        read_submission(tmp_path, LIMITS)
     (tmp_path / "gains.toml").unlink()
     (tmp_path / "law.py").symlink_to(__file__)
     with pytest.raises(HeliError, match="not a plain file"):

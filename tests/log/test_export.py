@@ -22,6 +22,7 @@ from heli_host.data.response import (
     effort_V,
     flight_under_law,
     flown_rows,
+    judged_rows,
     measuring_notes,
     responses,
     steps,
@@ -421,13 +422,18 @@ def test_a_step_with_missing_rows_is_not_measured_and_a_note_says_so() -> None:
         "rows are missing after 5.198 s: a step response with a gap is not measured"
     ]
     assert not math.isnan(responses(whole)[2].overshoot_percent)
+    # A gap before the first row of the step hides when it began.
+    late = replace(whole, t_s=np.where(whole.t_s < AT_s - 1e-9, whole.t_s, whole.t_s + 0.4))
+    assert math.isnan(responses(late)[2].settling_s)
 
 
 @pytest.mark.medium
 def test_rows_count_if_the_log_does_not_name_its_states() -> None:
     nameless = replace(second_order(), state_names={})
     assert responses(nameless) == responses(second_order(state=False))
-    assert measuring_notes(nameless) == ["the log does not name its states: rows on the table count, too"]
+    assert measuring_notes(nameless) == [
+        "the log does not name its states: rows on the table are measured, too"
+    ]
 
 
 @pytest.mark.medium
@@ -544,6 +550,11 @@ def test_an_axis_that_a_law_does_not_lead_has_no_error() -> None:
     assert rows_of_law.t_s[0] > 10.0
     assert math.isnan(responses(rows_of_law)[1].rms_deg)
     assert responses(rows_of_law)[0].rms_deg == pytest.approx(math.degrees(0.01))
+    # A check that ended just before the law began still moves the arm.
+    checks = (FlightEvent(9.0, "travel_probe", "asked"), FlightEvent(9.4, "travel_probe", "counts"))
+    after_check = flight_under_law(replace(flight_of_law, events=checks))
+    assert (judged_rows(after_check, "travel") == (after_check.t_s >= 19.4)).all()
+    assert judged_rows(after_check, "elevation").all()
 
 
 @pytest.mark.medium

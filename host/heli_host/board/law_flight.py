@@ -231,7 +231,7 @@ def run_controller(
         with contextlib.suppress(HeliError):
             params["telemetry_batch_ticks"] = batch_before
     if after == "hold":
-        heli.control()  # an uploaded law has the board's own in parallel, streamed voltages have not
+        heli.control()  # streamed voltages have no law of the board in parallel; an uploaded law has
     _end_law(heli, after)
     return _summary_of_run(run, telemetry, session.ticks_counted_on)
 
@@ -265,7 +265,7 @@ def _run_law_at_rate(heli: Vehicle, law: ControlLaw, run: _Run) -> None:
                 )
             heli.stream()
             continue
-        # Missed calls are not made up for: the next one is due on the old raster.
+        # Missed calls are not made up for: the next call stays on the grid of periods.
         missed_periods = max(sample.tick - due_tick, 0) // run.period_ticks
         run.misses += missed_periods
         due_tick += (1 + missed_periods) * run.period_ticks
@@ -368,6 +368,7 @@ _ENGAGED_TICKS: Final = 200
 _LAW_END_SPARE_S: Final = 10.0
 """Wait for the last sample of a flight beyond its duration, in case telemetry is lost [s]."""
 _EVENT_LAG_S: Final = 0.1
+"""Time by which the event of a takeover may follow its telemetry [s]."""
 
 
 def loaded(session: Session) -> LawMessage:

@@ -87,7 +87,8 @@ def measuring_notes(flight: Flight) -> list[str]:
         checks = "a check" if number == 1 else f"{number} checks"
         notes.append(
             f"{checks} of the silent travel encoder tilted the arm: errors and step responses of pitch and "
-            f"travel are without the {CHECK_RETURN_s:g} s after {'it' if number == 1 else 'each'}"
+            f"travel, and the effort, are without {'it' if number == 1 else 'them'} and the "
+            f"{CHECK_RETURN_s:g} s after {'it' if number == 1 else 'each'}"
         )
     gap_rows = _gap_rows(flight)
     if gap_rows.size:
@@ -97,7 +98,7 @@ def measuring_notes(flight: Flight) -> list[str]:
             "a step response with a gap is not measured"
         )
     if flight.state is not None and not flight.state_names:
-        notes.append("the log does not name its states: rows on the table count, too")
+        notes.append("the log does not name its states: rows on the table are measured, too")
     return notes
 
 
@@ -133,8 +134,16 @@ def flight_under_law(flight: Flight) -> Flight:
     rows = np.flatnonzero(is_flown)
     if rows.size < MIN_ROWS:
         raise FlightDataError("the log contains no flight of a control law", "give a flight under setpoints")
-    cut = flight.between(float(flight.t_s[rows[0]]), float(flight.t_s[rows[-1]]))
-    return replace(cut, events=tuple(event for event in cut.events if event.name != PHASE_EVENT))
+    first_s = float(flight.t_s[rows[0]])
+    cut = flight.between(first_s, float(flight.t_s[rows[-1]]))
+    # A check shortly before the first row still moves the arm.
+    checks = tuple(
+        event
+        for event in flight.events
+        if event.name == _CHECK_EVENT and first_s - CHECK_RETURN_s < event.t_s < first_s
+    )
+    others = tuple(event for event in cut.events if event.name != PHASE_EVENT)
+    return replace(cut, events=(*checks, *others))
 
 
 def _rows_in_state(flight: Flight, name: str) -> Booleans:
@@ -251,11 +260,11 @@ class Response:
     step_s : float
         Time at which its setpoint began its largest step [s]; nan without a step.
     step_deg : float
-        Size of the step [deg]; the metrics below are nan without a step.
+        Size of the step [deg]; the metrics below are nan without a step, or if rows of it are missing.
     rise_s, overshoot_percent, settling_s : float
         As in `StepMetrics`.
     rms_deg : float
-        Root mean square error over the rows in which a setpoint was active [deg]; nan without setpoints.
+        Root mean square error over the rows of `judged_rows` [deg]; nan without such rows.
     """
 
     axis: str
@@ -313,7 +322,8 @@ def steps(flight: Flight, axis: str) -> tuple[Step, ...]:
         start_deg, end_deg = float(setpoint_deg[first - 1]), float(setpoint_deg[stop - 1])
         t_s = flight.t_s[first:stop]
         metrics = step_metrics(t_s - t_s[0], angle_deg[first:stop], start_deg, end_deg, count_deg)
-        has_gap = bool(np.any((first <= gap_rows) & (gap_rows < stop - 1)))
+        # A gap just before the first row hides when the step began.
+        has_gap = bool(np.any((first - 1 <= gap_rows) & (gap_rows < stop - 1)))
         if has_gap:
             metrics = StepMetrics(math.nan, math.nan, math.nan)
         result.append(Step(start_s=float(t_s[0]), size_deg=end_deg - start_deg, metrics=metrics))

@@ -84,14 +84,14 @@ def _without_travel_checks(options: FlightOptions) -> FlightOptions:
     """Return the options of a simulated flight in which the board does not tilt the arm to check a silent
     travel encoder.
     """
-    # It checks no encoder while an uploaded law flies. With such tilts, the board's own law would have an
+    # The board checks no encoder while an uploaded law flies. With such tilts, its own law would have an
     # overshoot of 23 % instead of 12 %, and not settle. A real board keeps its checks.
     if not options.sil:
         return options
     parameters = options.parameters
     if parameters is None:
         parameters = chosen_parameters(options.params, options.gains)
-    return replace(options, parameters={**WITHOUT_TRAVEL_CHECKS, **parameters})
+    return replace(options, parameters={**parameters, **WITHOUT_TRAVEL_CHECKS})
 
 
 STEP_deg: Final = 10.0

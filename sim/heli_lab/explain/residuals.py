@@ -464,17 +464,17 @@ def dependences(screenings: Sequence[Screening]) -> list[Dependence]:
             [*screening.spline_information(splines), *_function_statistics(screening, curves_by_name)]
         )
         first_index = flights.stop
-    tested = [
+    functions_tested = [
         _dependence(test, rest_nats.get(test.name, 0.0), statistics)
         for test, *statistics in zip(tests, *statistics_by_screening, strict=True)
     ]
-    result = [each.dependence for each in tested if not each.dependence.is_significant]
-    significant = [each for each in tested if each.dependence.is_significant]
+    significant = [function for function in functions_tested if function.dependence.is_significant]
+    result = [function.dependence for function in functions_tested if not function.dependence.is_significant]
     for together in batches(significant, lambda _: 1, _SIMULATED_TOGETHER):
         counts = _change_counts(together, screenings)
         result += [
-            replace(each.dependence, change_counts=change_counts)
-            for each, change_counts in zip(together, counts, strict=True)
+            replace(function.dependence, change_counts=change_counts)
+            for function, change_counts in zip(together, counts, strict=True)
         ]
     return sorted(result, key=lambda dependence: -dependence.log_likelihood_gain)
 

@@ -218,7 +218,8 @@ def _balanced_edges(steps: Integers, parts: int) -> list[int]:
     """
     windows, steps_until_end = len(steps), np.cumsum(steps)
     ideal_steps = steps_until_end[-1] * np.arange(1, parts) / parts
-    # A part ends after the window that contains its ideal last step. Parts may be empty: equal edges are one.
+    # A part ends after the window that contains its ideal last step. Two parts that would end at the same
+    # window become one.
     inner = np.unique(np.searchsorted(steps_until_end, ideal_steps) + 1)
     return [0, *(int(edge) for edge in inner if edge < windows), windows]
 

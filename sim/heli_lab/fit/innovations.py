@@ -202,8 +202,8 @@ class InnovationsModel:
         ndarray (m b, s)
             For each flight, one row per output and block, one column per signal.
         """
-        # The filter returns outputs minus their prediction. Both reduce the innovations if the drive of the
-        # prediction is negative.
+        # The filter returns outputs minus their prediction. With the negative drive, this is what the signal
+        # takes off the innovations.
         for linearised, (rates, outputs) in zip(self.linearised_flights, signals, strict=True):
             windows = []
             for blocks, drive in zip(linearised.blocks, linearised.over_blocks(rates), strict=True):

@@ -126,7 +126,8 @@ class KalmanFilter:
         self._watches_changes = twin.weights.shape[1] > 0
         # Transition of z over a step; only the rows of the model's state differ from step to step.
         self._step_transition: Floats = np.diag(self._autocorrelation)
-        self._is_of_root: Floats = np.tri(order)  # Above it, a QR decomposition keeps its reflections
+        # 1 in the triangle of the root; above it, LAPACK keeps the reflections.
+        self._root_mask: Floats = np.tri(order)
         self.state_sensitivity: Floats = np.zeros((order, twin.weights.shape[1], ONSETS))
 
     def copy(self) -> KalmanFilter:
@@ -227,7 +228,7 @@ class KalmanFilter:
             voltage_noise[:, : self._nx] = (by_volts * std_V).T
             rows = np.vstack((rows, voltage_noise))
         packed, _ = np.linalg.qr(rows, mode="raw")
-        self._root = packed[:, : self._order] * self._is_of_root
+        self._root = packed[:, : self._order] * self._root_mask
 
     def propagate_sensitivity(self, ages_s: Floats, is_ramp: npt.NDArray[np.bool_]) -> None:
         """Propagate the sensitivities over the steps since the last call, s+ = F s + G w a. Shapes: `ages_s`

@@ -308,7 +308,7 @@ class TwinModel:
         voltages `volts_V`, (2,), in a step of `step_s`.
         """
         rows = np.atleast_2d(state)
-        # A filter does this in each step: np.broadcast_to takes ten times as long as np.repeat.
+        # A filter does this in each step. For two numbers, np.repeat is quicker than np.broadcast_to.
         inputs_V = np.repeat(volts_V[np.newaxis], len(rows), axis=0)
         return Trajectory(np.full(len(rows), t_s), rows, inputs_V, step_s, self.parameters)
 

@@ -143,7 +143,7 @@ class PaperPrintedModel(Model):
         )
         pitch_Nm = (
             difference_N * p["L_h"]
-            + p["M_b"] * p["g"] * p["L_h"] / ca.cos(zeta_h) * ca.cos(pitch + p["L_h"])  # L_h is printed
+            + p["M_b"] * p["g"] * p["L_h"] / ca.cos(zeta_h) * ca.cos(pitch + p["L_h"])  # L_h as printed
             - p["M_f"] * p["g"] * p["L_h"] / ca.cos(zeta_h) * ca.cos(pitch - zeta_h)
             - p["M_h"] * p["g"] * p["L_phi"] * ca.sin(pitch)
         )

@@ -84,7 +84,7 @@ class FlightSummary:
     ticks_lost: int
     rms_error_deg: Mapping[str, float | None]
     """rms_error_deg, max_error_deg: Tracking error by axis, see `heli_host.data.response`; None for an axis
-    that no row judges."""
+    without rows that count."""
     max_error_deg: Mapping[str, float | None]
     link: Mapping[str, int]  # ``frames_ok``, ``frames_bad``, ``retries``, ``reconnects`` and other counters
     plans: tuple[str, ...] = ()  # Names of the plans flown

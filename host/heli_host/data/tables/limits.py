@@ -150,7 +150,7 @@ def check_mat(path: Path) -> None:
             return
         byte_order = {b"IM": "<", b"MI": ">"}.get(header[-2:])
         if len(header) < _MAT_HEAD or byte_order is None:
-            return  # version 4, text of Octave, or NumPy: nothing in it is compressed
+            return  # version 4, text of Octave, or NumPy, whose unpacked size is checked elsewhere
         # From version 5 on, the head is followed by elements: kind, length and content.
         file.seek(_MAT_HEAD)
         element_head = struct.Struct(f"{byte_order}II")

@@ -79,7 +79,7 @@ def try_gains(
             on_progress(min(1.0, progress.t_s / length_s))
 
     with connected(world_of(plant, seed)) as heli:
-        heli.params.restore({**WITHOUT_TRAVEL_CHECKS, **parameters})
+        heli.params.restore({**parameters, **WITHOUT_TRAVEL_CHECKS})
         heli.wait(0.2)  # Seconds until a sample has arrived
         sample = heli.latest
         start_deg = np.array([sample.elevation_deg, sample.pitch_deg, sample.travel_deg])

@@ -114,8 +114,8 @@ def clock_of(table: Table) -> Clock:
         is_named = names.is_time(name) or (has_time_unit and not states_time)
         step = _mean_step(values)
         is_coarse = not is_named and _is_coarse_clock(values)
-        rises = (is_coarse or _is_clock(values, is_named)) and step > 0.0
-        if not rises:
+        is_clock = (is_coarse or _is_clock(values, is_named)) and step > 0.0
+        if not is_clock:
             if is_named:
                 reasons.append(_why_no_clock(name, values))
             continue
