@@ -160,6 +160,11 @@ def replaced(line: int, column: int, value: str) -> list[str]:
         ([HEADER + ",t_s", *(row + ",1" for row in rows())], "column 't_s' exists twice"),
         ([HEADER, *replaced(line=7, column=3, value="nan")], "elevation_rad is nan in line 9"),
         (["# note", HEADER, "# note", *replaced(line=7, column=1, value="inf")], "front_V is inf in line 11"),
+        ([HEADER, "", *replaced(line=7, column=1, value="inf")], "front_V is inf in line 10"),
+        (
+            [HEADER, *rows()[:3], "  ", *replaced(line=7, column=1, value="inf")[3:]],
+            "front_V is inf in line 10",
+        ),
         ([HEADER, *replaced(line=7, column=4, value="abc")], "pitch_rad is 'abc' in line 9, not a number"),
         ([HEADER, *replaced(line=7, column=4, value="")], "pitch_rad is '' in line 9, not a number"),
         ([HEADER, *rows()[:12], "0.024,1,1"], "line 14 has 3 columns, the header 6"),

@@ -35,6 +35,7 @@ _FORMATS |= {spec.column: "%.10g" for spec in CHANNELS if spec.column not in OWN
 _FORMATS |= {spec.field: "%d" for spec in CHANNELS if spec.axis is not None}
 _NUMBER_FORMAT = "%.9f"
 _NOTE = re.compile(r"([\w .-]{1,40}):\s?(.*)")
+_BLANK_LINE = re.compile(rb"\n(?:[^\S\n]*\n|[^\S\n]+\Z)")
 _PLAN_MARK = "plan|"
 _ROWS_A_BLOCK = 20_000
 MAX_TABLE_BYTES = 1 << 28
@@ -208,8 +209,9 @@ def _split_lines(data: bytes, path: Path) -> _Lines:
         )
     names = tuple(name.strip().strip('"') for name in header.split(","))
     first_line = lines_read + 1
-    # Nearly all tables have rows only, which need not be split here.
-    if b"#" not in body and b"\n\n" not in body:
+    # Nearly all tables have rows only, which need not be split here. The search begins at the end of the
+    # header, because the first line below it may be blank, too.
+    if b"#" not in body and not _BLANK_LINE.search(data, position - 1):
         return _Lines(tuple(notes), names, body, first_line, skipped_lines=())
     row_lines: list[bytes] = []
     skipped_lines: list[int] = []
