@@ -280,6 +280,16 @@ def test_values_without_their_sign_are_left_out(tmp_path: Path) -> None:
     assert "'elevation [deg]' that jumps and returns" in left_out.reason
 
 
+@pytest.mark.parametrize(("rows", "left_out"), [(1, 1), (2, 2), (3, 0), (6, 0)])
+def test_a_pulse_of_large_voltages_is_no_damage_from_three_rows(
+    tmp_path: Path, rows: int, left_out: int
+) -> None:
+    values = VALUES.copy()
+    values[400 : 400 + rows, 0] = 60.0 + np.arange(rows)
+    changes = converted(tmp_path, lines(T_S, values)).changes
+    assert sum(change.rows for change in changes if "front [V]" in change.reason) == left_out
+
+
 def test_angles_that_stand_still_near_the_lowest_elevation_are_left_out(tmp_path: Path) -> None:
     values = VALUES.copy()
     lowest = int(np.argmin(values[:, 2]))

@@ -53,6 +53,8 @@ explains.
 _SPIKE_RATIO: Final = 5.0
 """Size of a voltage, as a multiple of its 99 % quantile, from which a single row is damaged. Commands before
 their limit are at most some three times as large as usual."""
+_MAX_SPIKE_ROWS: Final = 2
+"""Largest number of neighbouring rows with such voltages that count as damaged."""
 _STAND_S: Final = 0.3
 _ONE_STAND_S: Final = 0.5
 _LAST_STAND_S: Final = 1.0
@@ -137,17 +139,18 @@ def convert(table: Table, profile: Profile) -> Conversion:
         rows = _mirrored(rows)
     rows, changes = _complete_rows(rows, table, profile)
     if profile.act == "before":
+        # The voltages of a row acted before it, so those of the next row act from this row on.
         rows = _with_voltages_of_next_row(rows)
     part = profile.parts.get(Path(table.source).name, Part())
-    jumps = _find_jumps(rows)
+    reason_by_row = _find_jumps(rows)
     flights: list[Flight] = []
     resampled: list[_Resampling] = []
-    stretches, lost = _usable_stretches(rows.t_s, part, [*jumps], table.source)
+    stretches, lost = _usable_stretches(rows.t_s, part, list(reason_by_row), table.source)
     for stretch in stretches:
         recorded = rows.selected(stretch)
         even = _evenly_sampled(recorded)
         resampled.append(_Resampling(recorded.t_s, even.t_s))
-        notes = _notes_of_file(table, part) | _cut_note(rows.t_s, stretch.start, jumps)
+        notes = _notes_of_file(table, part) | _cut_note(rows.t_s, stretch.start, reason_by_row)
         notes |= _gap_note(recorded.t_s, len(even.t_s))
         voltages_V = {f"{motor}_V": volts for motor, volts in even.voltages_V.items()}
         columns: dict[str, Any] = {**voltages_V, **even.angles_rad}
@@ -239,8 +242,11 @@ def _voltage_spikes(values: Floats) -> Booleans:
     """Mark rows with a voltage far above the others, or with a substitute for one. Returns shape (n,)."""
     sizes = np.abs(values)
     is_large = sizes > _SPIKE_RATIO * max(float(np.quantile(sizes, 0.99)), 1e-12)
-    # A row between two other large ones is no single damaged value.
-    is_spike: Booleans = is_large & ~(np.roll(is_large, 1) & np.roll(is_large, -1))
+    is_spike = is_large.copy()
+    for start, stop in runs_of(is_large):
+        # More of them are a real step of the voltage, not damaged digits.
+        if stop - start > _MAX_SPIKE_ROWS:
+            is_spike[start:stop] = False
     return is_spike | substitutes(values)
 
 
@@ -412,10 +418,11 @@ def _standing(rows: _Rows) -> Booleans:
     file, a long part in flight counts without a jump. A rig may hover still for a moment.
     """
     motion = _Motion.of(rows)
-    t_s, angles, volts, step_rad = motion.t_s, motion.angles_rad, motion.volts, motion.step_rad
+    t_s, angles, volts = motion.t_s, motion.angles_rad, motion.volts
     is_repeated = np.zeros(t_s.size, bool)
     largest_V = np.abs(volts).max(initial=0.0)
-    rests_s = np.column_stack([_rests_s(t_s, values) for values in angles.T])  # (n, 3)
+    # How long each angle stays the same around each row, shape (n, 3).
+    rests_s = np.column_stack([_rests_s(t_s, values) for values in angles.T])
     # The surest parts first, in which all three angles stand still: they decide about parts beside them.
     for axes in ([0, 1, 2], [0, 1], [0, 2], [1, 2], [0], [1], [2]):
         shortest_s = _STAND_S if len(axes) > 1 else _ONE_STAND_S
@@ -430,23 +437,9 @@ def _standing(rows: _Rows) -> Booleans:
             # A link that reports 0 in all columns reports motors that are off.
             if not is_driven and len(axes) < len(AXES):
                 continue
-            limit_rad = motion.largest_usual_step_rad(start, stop)
-            ends = (
-                _End(step=start - 1, row=start, beyond=max(start - 1, 0)),
-                _End(step=stop - 1, row=stop - 1, beyond=min(stop, t_s.size - 1)),
-            )
-            # A slice, because it is empty at the first and the last row of the file: no jump.
-            jumps = [(step_rad[end.step : end.step + 1] > limit_rad)[:, axes] for end in ends]
-            has_both = all(jump.any() for jump in jumps)
-            has_jump = []
-            for end, jump in zip(ends, jumps, strict=True):
-                # Of two parts beside a jump, the longer one is that of the failed link.
-                is_longer = rests_s[end.row, axes] >= rests_s[end.beyond, axes]
-                belongs_to_part = bool((jump & (is_longer | has_both)).any())
-                # The jump beside a part of the failed link says nothing of the rows beyond that part.
-                has_jump.append(belongs_to_part and not is_repeated[end.beyond])
-            enters, leaves = has_jump
+            enters, leaves = _has_jumps(motion, rests_s, is_repeated, axes, slice(start, stop))
             if is_driven:
+                # Lengths of the earlier parts in which these angles stand still.
                 others_s = lengths_s[stops < stop]
                 fails = enters or leaves or (stop == t_s.size and motion.ends_still(axes, start, others_s))
             else:
@@ -455,6 +448,34 @@ def _standing(rows: _Rows) -> Booleans:
                 # Without a jump into the part, its first row was measured.
                 is_repeated[start if enters else start + 1 : stop] = True
     return is_repeated | _frozen(motion)
+
+
+def _has_jumps(
+    motion: _Motion, rests_s: Floats, is_repeated: Booleans, axes: list[int], part: slice
+) -> tuple[bool, bool]:
+    """Whether one of the angles `axes` jumps into a `part` that stands still, and whether one jumps out of
+    it, without jumps of a neighbour that stands still itself. Shapes: `rests_s` (n, 3), `is_repeated` (n,).
+    """
+    start, stop = part.start, part.stop
+    limit_rad = motion.largest_usual_step_rad(start, stop)
+    ends = (
+        _End(step=start - 1, row=start, beyond=max(start - 1, 0)),
+        _End(step=stop - 1, row=stop - 1, beyond=min(stop, motion.t_s.size - 1)),
+    )
+    # A slice, because it is empty at the first and the last row of the file: no jump.
+    jumps = [(motion.step_rad[end.step : end.step + 1] > limit_rad)[:, axes] for end in ends]
+    # With jumps at both ends, as around zeros of a failed link, both belong to the part, even if a neighbour
+    # stands still for longer, as an arm at rest does.
+    has_both = all(jump.any() for jump in jumps)
+    belong_to_part = []
+    for end, jump in zip(ends, jumps, strict=True):
+        # Of two parts beside a jump, the longer one is that of the failed link.
+        is_longer = rests_s[end.row, axes] >= rests_s[end.beyond, axes]
+        belongs_to_part = bool((jump & (is_longer | has_both)).any())
+        # If the neighbour was marked before, the jump is its own, and no sign of a second failure.
+        belong_to_part.append(belongs_to_part and not is_repeated[end.beyond])
+    enters, leaves = belong_to_part
+    return enters, leaves
 
 
 def _rests_s(t_s: Floats, values: Floats) -> Floats:
