@@ -7,6 +7,7 @@ import termios
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import heli_host
 import pytest
@@ -24,7 +25,7 @@ from heli_host.board.flashing import (
     write_image,
 )
 from heli_host.board.parameters import read_parameter_set
-from heli_host.declaration import BAUD, LINK_HASH, PARAMS_HASH, State
+from heli_host.declaration import BAUD, LINK_HASH, PARAMS_HASH, ParamsSource, State
 from heli_host.errors import FlashError, ImageError, UploaderError
 from heli_host.ui.cli.verbs import board as flash_verb
 from heli_host.ui.cli.verbs.board import ANSWER_TIMEOUT_S
@@ -184,6 +185,18 @@ def test_saved_parameters_of_another_schema_are_erased_only_on_demand(
     assert flash_board.calls == []
     assert "discarded: " in flash_board("--discard-parameters").out
     assert len(flash_board.calls) == 1
+
+
+@pytest.mark.slow
+def test_saved_parameters_in_another_order_are_erased_only_on_demand(
+    changed: None, other_link: None, flash_board: Flash, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Every stored set counts as migrated.
+    sources = SimpleNamespace(MIGRATED=ParamsSource.STORED)
+    monkeypatch.setattr("heli_host.board.flashing.ParamsSource", sources)
+    line = refusal(flash_board(), code=LINK)
+    assert f"under this host's schema {PARAMS_HASH:08x}" in line
+    assert flash_board.calls == []
 
 
 @pytest.mark.medium

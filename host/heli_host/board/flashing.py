@@ -191,7 +191,11 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
         board.ask(ParamsOriginReadMessage(UNNUMBERED), min_bytes=ParamsOriginMessage.STRUCT.size)
     )
     # After a migration, the board lists them in the order of its own schema, which is another.
-    if origin.schema != PARAMS_HASH or origin.source == ParamsSource.MIGRATED:
+    if origin.schema == PARAMS_HASH and origin.source == ParamsSource.MIGRATED:
+        raise _unreadable_error(
+            f"it saved them under this host's schema {PARAMS_HASH:08x}, but its firmware has another"
+        )
+    if origin.schema != PARAMS_HASH:
         raise _unreadable_error(
             f"it saved them under the schema {origin.schema:08x}, this host's is {PARAMS_HASH:08x}"
         )
