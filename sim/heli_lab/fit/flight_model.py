@@ -108,6 +108,11 @@ def with_measured_angles(model: Model) -> Model:
     return type(model)(tuple(effect.with_measured_angles() for effect in model.effects))
 
 
+def without_random_effects(model: Model) -> Model:
+    """Return a `model` without its effects that have random inputs."""
+    return type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
+
+
 def known_directions(effects: Sequence[Effect]) -> tuple[tuple[int, int], ...]:
     """List the states of effects that hold the direction in which an axis moves."""
     names = [state.name for effect in effects for state in effect.states]

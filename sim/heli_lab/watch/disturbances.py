@@ -22,7 +22,7 @@ from heli_lab.errors import IdentifyError
 from heli_lab.explain.assessment import estimated_advance
 from heli_lab.explain.screening import Screening
 from heli_lab.fit.estimator import Estimate, estimate
-from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions
+from heli_lab.fit.flight_model import RigParameters, filter_record, model_functions, without_random_effects
 from heli_lab.fit.grey_box import DisturbanceModel
 from heli_lab.fit.records import Record, prepare
 from heli_lab.fit.reference_trajectory import ReferenceTrajectory
@@ -49,7 +49,7 @@ class FixedRigEstimate(NamedTuple):
 def estimate_with_fixed_rig(model: Model, rig: Rig, records: Sequence[Record]) -> FixedRigEstimate:
     """Estimate the disturbances and the constants of each flight."""
     # Effects with random inputs are left out: the estimated disturbances take their place.
-    deterministic = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
+    deterministic = without_random_effects(model)
     references = [filter_record(record) for record in records]
     all_parameters = RigParameters(deterministic, rig, records)
     names = deterministic.parameter_names

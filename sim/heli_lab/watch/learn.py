@@ -28,7 +28,7 @@ from heli_sim.rig import Rig
 from heli_sim.rig.schema import Quantity
 
 from heli_lab.errors import TwinError
-from heli_lab.fit.flight_model import TORQUE_STD_Nm, model_functions
+from heli_lab.fit.flight_model import TORQUE_STD_Nm, model_functions, without_random_effects
 from heli_lab.fit.grey_box import DisturbanceModel, SLOW_CORRELATION_TIME_s
 from heli_lab.fit.innovations import InnovationsModel
 from heli_lab.fit.linearised_flight import BLOCK_s, LinearisedFlight
@@ -403,7 +403,7 @@ def random_plan(seed: int, duration_s: float = 60.0) -> Plan:
 def with_process_noise(model: Model, disturbances: DisturbanceModel) -> Model:
     """Add random gusts and a slow random drift about each axis to a model, for its simulation."""
     specs = catalogue()
-    effects: list[Effect] = [effect for effect in model.effects if not effect.noise_inputs]
+    effects: list[Effect] = [*without_random_effects(model).effects]
     for axis, name in enumerate(AXES):
         spec = specs[f"random_torque.{name}"]
         gusts = spec.make(

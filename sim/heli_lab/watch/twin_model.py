@@ -21,7 +21,7 @@ from heli_sim.model.effects import catalogue
 from heli_sim.model.effects.spec import format_estimate
 from heli_sim.rig import Rig
 
-from heli_lab.fit.flight_model import model_along, model_functions
+from heli_lab.fit.flight_model import model_along, model_functions, without_random_effects
 
 SUPPLY: Final = "supply"
 """Parameter of a change that is no parameter of the model: a share of both motor voltages."""
@@ -227,7 +227,7 @@ class TwinModel:
         changes: tuple[Change, ...] | None = None,
     ) -> None:
         # The filter models the disturbances itself.
-        deterministic = type(model)(tuple(effect for effect in model.effects if not effect.noise_inputs))
+        deterministic = without_random_effects(model)
         self.rig, self.model, self.uncertainty = rig, deterministic, uncertainty
         self.changes: tuple[Change, ...] = changes_of(deterministic) if changes is None else changes
         # Parameters by which derivatives are needed: those of the changes, and the uncertain ones.
