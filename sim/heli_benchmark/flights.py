@@ -13,6 +13,7 @@ from heli_host.board.rest_check import ANGLE_SHIFTED
 from heli_host.data.arrays import Floats
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
+from heli_host.data.log.summary import FlightSummary
 from heli_host.declaration import Fault
 from heli_host.errors import FlightAborted
 from heli_host.fly.plan import Plan
@@ -97,6 +98,19 @@ def plan(name: str, duration_s: float, rng: np.random.Generator) -> Plan:
     )
 
 
+def _is_usable(summary: FlightSummary) -> bool:
+    """Whether the log of a flight contains all of its plan."""
+    return (
+        summary.completed
+        # Plans are drawn by chance, and the voltages are recorded: an axis that did not follow is no loss.
+        or summary.outcome.startswith(NOT_TRACKED)
+        # The encoders are healthy: a hidden effect has moved an angle at rest.
+        or summary.outcome.startswith(ANGLE_SHIFTED)
+        # The masses of Table 2 balance at -22 degrees and never touch the table.
+        or Fault.LANDING_TIMEOUT.name.lower() in summary.outcome
+    )
+
+
 def flown(rig: Rig, hidden: Sequence[HiddenEffect], course: Plan, seed: int) -> Flight:
     """Fly a plan with the flight code behind the simulated line."""
     # MujocoPlant has the members of a Plant that SilWorld uses, no others.
@@ -109,15 +123,7 @@ def flown(rig: Rig, hidden: Sequence[HiddenEffect], course: Plan, seed: int) -> 
         log = Path(folder) / "flight.mcap"
         summary = fly(heli, course, log_path=log)
         flight = read_flight(log)
-    # The masses of Table 2 balance at -22 degrees and never touch the table: the flight is complete.
-    # Plans are drawn by chance, and the voltages are recorded: an axis that did not follow is no loss. The
-    # encoders are healthy: a hidden effect has moved an angle at rest.
-    is_complete = (
-        summary.completed
-        or summary.outcome.startswith((NOT_TRACKED, ANGLE_SHIFTED))
-        or Fault.LANDING_TIMEOUT.name.lower() in summary.outcome
-    )
-    if not is_complete:
+    if not _is_usable(summary):
         raise FlightAborted(f"{course.title}: {summary.outcome}", "draw another seed")
     return flight
 

@@ -17,6 +17,8 @@ from heli_sim.rig import Number, Rig
 
 SCALE_N: Final = 0.00981
 """Smallest step of the scale that thrust is read from: a gram."""
+_TYPICAL_BALANCE_deg: Final = -20.0
+"""Elevation at which the search for the balance begins: that of the published rig is -22 degrees."""
 
 
 @dataclass(frozen=True)
@@ -255,10 +257,10 @@ class _BenchModel:
         return float(np.rad2deg(angles[0]))
 
     def swing(self, p: Floats, swing: Swing) -> tuple[float, float]:
-        """Return the time of all swings [s], and the logarithmic decrement."""
+        """Return the time of all swings [s], and the logarithmic decrement per period."""
         axis = AXES.index(swing.axis)
         # Elevation swings about its balance, and pitch at the elevation at which the arm is held.
-        elevation_deg = self.balance_deg(p, near_deg=-20.0) if axis == 0 else swing.elevation_deg
+        elevation_deg = self.balance_deg(p, _TYPICAL_BALANCE_deg) if axis == 0 else swing.elevation_deg
         angles_rad = np.deg2rad([elevation_deg, 0.0, 0.0])
         _, by_angle, by_rate = self._acceleration_at_rest(p, axis, angles_rad)
         # Damped oscillation x'' = by_angle x + by_rate x': the square of its angular frequency.

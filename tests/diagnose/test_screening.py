@@ -157,7 +157,7 @@ def test_a_round_without_a_cause_refits_what_the_disturbances_hide(monkeypatch: 
         log_likelihood_gain=4.8,
         coefficients=np.zeros(1),
         std=np.ones(1),
-        tried=1,
+        grid_points=1,
     )
     hidden = replace(spring, log_likelihood_gain=183.0)
     refitted: list[ScoredCandidate] = []
@@ -289,7 +289,7 @@ def test_grid_parameter_is_refitted_on_both_sides_of_the_best_score() -> None:
     base = hypothesis([])
     base.log_likelihood = 0.0  # type: ignore[misc]
     scored = ScoredCandidate(
-        second, log_likelihood_gain=48.0, coefficients=np.full(2, 0.01), std=np.ones(2), tried=2
+        second, log_likelihood_gain=48.0, coefficients=np.full(2, 0.01), std=np.ones(2), grid_points=2
     )
     best = refit_on_grid(comparison, acceptance, base, scored)
     assert refitted_orders == [2.0, 1.0]
@@ -303,7 +303,9 @@ def test_added_candidate_is_the_one_scored_in_any_order_of_the_model() -> None:
     cached = hypothesis([play, friction])
     comparison = cast(ModelComparison, SimpleNamespace(refit=lambda *_: cached))
     acceptance = cast(Acceptance, SimpleNamespace(kinds=KINDS, penalty=lambda *_: 7.0))
-    scored = ScoredCandidate(play, log_likelihood_gain=0.0, coefficients=np.zeros(1), std=np.ones(1), tried=1)
+    scored = ScoredCandidate(
+        play, log_likelihood_gain=0.0, coefficients=np.zeros(1), std=np.ones(1), grid_points=1
+    )
     refit = refit_on_grid(comparison, acceptance, hypothesis([friction]), scored)
     assert refit.candidate.id == "backlash.pitch"
 

@@ -112,7 +112,7 @@ def test_play_is_refitted_and_then_friction_if_the_play_is_best(
         log_likelihood_gain=90.0,
         coefficients=np.zeros(1),
         std=np.ones(1),
-        tried=1,
+        grid_points=1,
     )
     base = cast(Hypothesis, SimpleNamespace(ids=()))
     round_refits = RoundRefits(

@@ -477,7 +477,7 @@ class Scores:
                 log_likelihood_gain=self.gains.get(kind.id, 0.0),
                 coefficients=zeros,
                 std=zeros,
-                tried=1,
+                grid_points=1,
             )
             for kind in kinds
         ]

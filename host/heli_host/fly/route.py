@@ -388,10 +388,16 @@ def _read_step(table: PlanTable, commanded: tuple[str, ...]) -> Segment:
     """Read a segment whose setpoints jump to the target, and stay there."""
     duration_s = table.number("duration_s", DURATION)
     with_targets = _target_replacer(table, commanded)
+
+    def motion_from(begin: Floats) -> Motion:
+        """Return the motion from a setpoint; its range covers the begin and the target."""
+        target = with_targets(begin)
+        return _motion_within(duration_s, hold(target), begin, target)
+
     return Segment(
         "step",
         table.where,
-        lambda at: _motion_within(duration_s, hold(with_targets(at)), at, with_targets(at)),
+        motion_from,
         excitation=_read_simultaneous_excitation(table, duration_s),
     )
 

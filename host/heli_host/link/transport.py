@@ -236,6 +236,11 @@ def transport_label(transport: Transport) -> str:
     return str(getattr(transport, "label", ""))
 
 
+def transport_board_name(transport: Transport) -> str:
+    """Return the name of the board for a log, which is the first part of its label without the word board."""
+    return transport_label(transport).partition(",")[0].removesuffix(" board")
+
+
 def transport_rig(transport: Transport) -> str:
     """Return the rig of a simulated board."""
     return str(getattr(transport, "rig", ""))

@@ -172,11 +172,14 @@ def _assign_cells(
 def _write_instruction(value: Value, target: int, operands: list[int]) -> Instruction:
     """Write the instruction that computes a `value` from the cells `operands` into the cell `target`."""
     if value.kind != SUM:
-        first, second = (*operands, 0)[:2]
+        # The virtual machine ignores the second operand of a unary operation.
+        first, second = operands[0], operands[1] if len(operands) > 1 else 0
         return Instruction(CODE[value.kind], target, first, second)
+    # The operands of a sum of products are the two factors of each product in turn.
+    factors = zip(operands[::2], operands[1::2], strict=True)
     terms = []
-    for k, (first, second) in enumerate(zip(operands[::2], operands[1::2], strict=True)):
-        is_subtracted = bool(value.detail >> k & 1)
+    for product, (first, second) in enumerate(factors):
+        is_subtracted = bool(value.detail & (1 << product))
         terms.append(Term(first, second, is_subtracted))
     return Instruction(CODE[SUM], target, terms=tuple(terms))
 

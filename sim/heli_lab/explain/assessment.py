@@ -490,7 +490,7 @@ def _on_all_flights(
         information = np.sum([of_flights.information for of_flights in by_screening], axis=0)
         score = np.sum([of_flights.score for of_flights in by_screening], axis=0)
         joint = score_of(information, score, coefficient_std(scored.candidate))
-        margin = joint.log_likelihood_gain - acceptance.penalty(scored.candidate, scored.tried)
+        margin = joint.log_likelihood_gain - acceptance.penalty(scored.candidate, scored.grid_points)
         joint_scored = replace(
             scored, coefficients=joint.coefficients, log_likelihood_gain=joint.log_likelihood_gain
         )

@@ -110,7 +110,7 @@ class ScoredCandidate:
     unchanged."""
     coefficients: Floats  # coefficients, std: (g,): Coefficients of its regressors, and their standard errors
     std: Floats
-    tried: int  # Number of points of the grid that were tried
+    grid_points: int  # Number of points of the grid that were tried
 
 
 def effect_candidates(kind: EffectSpec, seconds: float) -> list[Candidate]:

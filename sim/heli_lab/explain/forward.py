@@ -163,7 +163,7 @@ class Acceptance:
             scored
             for scored in screened
             if thresholds.EXPECTED_REFIT_GAIN * scored.log_likelihood_gain
-            > self.penalty(scored.candidate, scored.tried) + thresholds.MIN_MARGIN
+            > self.penalty(scored.candidate, scored.grid_points) + thresholds.MIN_MARGIN
         ]
 
 
@@ -519,6 +519,7 @@ def refit_on_grid(
     grid = _grid_neighbours(scored, acceptance.kinds)
     start = grid.nearest.start_values(scored.coefficients)
     best = comparison.refit([*base.candidates, grid.nearest], start, base)
+    # Outwards from the nearest point, in both directions.
     for neighbours in (grid.larger, grid.smaller):
         for candidate in neighbours:
             grid_values = {name: candidate.effect.values[name] for name in candidate.grid}
@@ -528,8 +529,8 @@ def refit_on_grid(
                 break  # points farther away are less likely still
             best = hypothesis
     gain = best.log_likelihood - base.log_likelihood
-    penalty = acceptance.penalty(scored.candidate, scored.tried)
-    return Refit(best, gain, penalty, scored.log_likelihood_gain, scored.candidate.id)
+    penalty = acceptance.penalty(scored.candidate, scored.grid_points)
+    return Refit(best, gain, penalty, score=scored.log_likelihood_gain, added_id=scored.candidate.id)
 
 
 def resting_friction(

@@ -135,18 +135,21 @@ def estimated_free_runs(
 def free_runs(
     fit: Fit, validation: Sequence[Record], calibrate_s: float | None = None
 ) -> tuple[FreeRun, ...]:
-    """Predict flights with fitted parameters."""
+    """Predict the `validation` flights with fitted parameters; without any, the fitted flights, each with its
+    own parameters and without calibration.
+    """
     problem = fit.problem
+    # Each fitted flight has constants of its own, and so a parameter vector.
     parameters = [problem.parameters(fit.theta, index) for index in range(len(problem.records))]
 
-    def run(flights: Sequence[Floats], record: Record, duration_s: float) -> FreeRun:
-        """Predict a flight with the means of the parameters of `flights`."""
-        values = _mean_by_name(problem.model, flights)
+    def run(vectors: Sequence[Floats], record: Record, duration_s: float) -> FreeRun:
+        """Predict a flight with the mean of parameter `vectors`, after a calibration of so many seconds."""
+        values = _mean_by_name(problem.model, vectors)
         return free_run(problem.model, problem.rig, values, record, duration_s, problem.threads)
 
     if not validation:
         runs = zip(parameters, problem.records, strict=True)
-        return tuple(run([flight_values], record, 0.0) for flight_values, record in runs)
+        return tuple(run([vector], record, 0.0) for vector, record in runs)
     # The prior mean of a constant of another flight is its mean over the fitted flights.
     return tuple(run(parameters, record, calibration_s(record, calibrate_s)) for record in validation)
 

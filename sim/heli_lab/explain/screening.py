@@ -298,7 +298,7 @@ class GridSearch:
             return None
         # If several points have the same score, the last one counts.
         best_index = max(allowed, key=lambda index: (scores[index].log_likelihood_gain, index))
-        best = ScoredCandidate(candidates[best_index], *scores[best_index], tried=len(candidates))
+        best = ScoredCandidate(candidates[best_index], *scores[best_index], grid_points=len(candidates))
         has_neighbours = bool(best.candidate.grid) and len(candidates) > 1
         if has_neighbours and best.log_likelihood_gain > _MIN_REFINED_NATS:
             best = self._refine(kind, candidates, best)
@@ -334,11 +334,11 @@ class GridSearch:
                 for neighbour_value in (value - distance, value + distance)
                 if prior.low <= neighbour_value <= prior.high
             ]
-            best = replace(best, tried=best.tried + len(neighbours))
+            best = replace(best, grid_points=best.grid_points + len(neighbours))
             for neighbour, score in zip(neighbours, self.score(neighbours), strict=True):
                 is_better = score.log_likelihood_gain > best.log_likelihood_gain
                 if is_better and _signs_are_allowed(neighbour, score.coefficients):
-                    best = ScoredCandidate(neighbour, *score, tried=best.tried)
+                    best = ScoredCandidate(neighbour, *score, grid_points=best.grid_points)
         return best
 
 
@@ -462,7 +462,7 @@ class Screening:
         self._precompute_influences(candidates)
         scores = self.score(candidates)
         return _by_gain(
-            ScoredCandidate(candidate, *score, tried=1)
+            ScoredCandidate(candidate, *score, grid_points=1)
             for candidate, score in zip(candidates, scores, strict=True)
         )
 

@@ -112,13 +112,14 @@ class _Likelihood:
         """
         # Near the upper bound, a difference goes downwards.
         steps = np.where(point > self.high - _DIFFERENCE, -_DIFFERENCE, _DIFFERENCE)
-        # Parameters that are differentiated together: one of each disturbance of a group.
+        # Parameters that are differentiated together, shape (k,): one of each disturbance of a group.
         differences = [(group, parameters) for group in self.groups for parameters in group.parameters.T]
         shifted = self.at(
             *(_point_with_step(point, parameters, steps[parameters]) for _, parameters in differences)
         )
         gradient = np.zeros(len(point))
         for (group, parameters), shifted_values in zip(differences, shifted, strict=True):
+            # Shape (k,): each disturbance changes the log-likelihood of the outputs that it affects.
             change = group.likelihoods(shifted_values) - group.likelihoods(values)
             gradient[parameters] = change / steps[parameters]
         # A parameter on its bound stays there if the gradient points outwards.

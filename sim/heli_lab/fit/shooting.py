@@ -660,6 +660,8 @@ def _start_point(cost: ShootingCost, start: Fit | Mapping[str, float] | None) ->
     values = start.params if isinstance(start, Fit) else start or {}
     theta = problem.parameter_vector.started_from(values)
     states = cost.initial_state_guess(theta)
+    # A fit of as many records is taken for one of the same records. If it is not, its states are poor start
+    # values, no more.
     if isinstance(start, Fit) and len(start.states) == len(states):
         _copy_states(start, problem, states)
     return theta, states

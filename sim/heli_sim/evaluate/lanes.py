@@ -9,6 +9,7 @@ same in all windows and stay scalars.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
@@ -17,7 +18,7 @@ import casadi as ca
 from heli_sim.errors import PlantError
 
 _SHARED_INPUT: Final = 3
-"""Number of the input that all windows share: the parameters."""
+"""Index of the one input, among those of the function, that all windows share: the parameters."""
 _VECTOR_OPERATIONS: Final = {
     "ASSIGN": "{x}",
     "ADD": "{x} + {y}",
@@ -90,6 +91,8 @@ def c_function(function: ca.Function) -> str:
     """C expressions that are vectors; all others are numbers."""
     for k in range(function.n_instructions()):
         code = function.instruction_id(k)
+        # Both are work registers, except at the borders: an output is (result, element), and an input is
+        # (argument, element).
         target, operands = function.instruction_output(k), function.instruction_input(k)
         if code == ca.OP_OUTPUT:
             # Results are vectors, so a number is copied to all lanes.
@@ -97,9 +100,9 @@ def c_function(function: ca.Function) -> str:
             lines.append(f"r{target[0]}[{target[1]}] = {value if value in vectors else f'all({value})'};")
             continue
         if code == ca.OP_INPUT:
-            number, element = operands
-            value = f"a{number}[{element}]"
-            if number != _SHARED_INPUT:
+            argument, element = operands
+            value = f"a{argument}[{element}]"
+            if argument != _SHARED_INPUT:
                 vectors.add(value)
         elif code == ca.OP_CONST:
             value = f"({_c_literal(function.instruction_constant(k))})"
@@ -108,16 +111,18 @@ def c_function(function: ca.Function) -> str:
             # The second operand of a unary operation is ignored.
             x, y = in_register[operands[0]], in_register[operands[-1]]
             lines.append(_c_operation(value, code, x, y, vectors))
+            if {x, y} & vectors:
+                vectors.add(value)
         in_register[target[0]] = value
     arguments = ", ".join(
         [f"const {'double' if i == _SHARED_INPUT else 'Lanes'}* a{i}" for i in range(function.n_in())]
         + [f"Lanes* r{i}" for i in range(function.n_out())]
     )
     body = "\n  ".join(lines)
-    return f"{_target()}static void {function.name()}({arguments}) {{\n  {body}\n}}\n"
+    return f"{_target_attribute()}static void {function.name()}({arguments}) {{\n  {body}\n}}\n"
 
 
-def _target() -> str:
+def _target_attribute() -> str:
     """Return the attribute in C of a function for the vectors of this processor."""
     # A function for any processor, which the loader would choose from, takes three times as long to compile.
     try:
@@ -128,8 +133,8 @@ def _target() -> str:
     return '__attribute__((target("avx2"))) ' if "avx2" in flags.split() else ""
 
 
-def _c_operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> str:
-    """Write one operation as a C statement."""
+def _c_operation(result: str, code: int, x: str, y: str, vectors: Collection[str]) -> str:
+    """Write one operation as a C statement; its result is a vector if an operand is in `vectors`."""
     if code not in _EXPRESSIONS:
         raise PlantError(
             f"a model uses CasADi's operation {code}, which is not compiled here",
@@ -137,13 +142,11 @@ def _c_operation(result: str, code: int, x: str, y: str, vectors: set[str]) -> s
         )
     # Without an expression of vectors, the operation is done in a loop over their elements.
     of_numbers, of_vectors = _EXPRESSIONS[code]
-    if not {x, y} & vectors:
+    if x not in vectors and y not in vectors:
         return f"const double {result} = {of_numbers.format(x=x, y=y)};"
     if of_vectors:
         x, y = (operand if operand in vectors else f"all({operand})" for operand in (x, y))
-        vectors.add(result)
         return f"const Lanes {result} = {of_vectors.format(x=x, y=y)};"
-    vectors.add(result)
     x, y = (f"{operand}[z]" if operand in vectors else operand for operand in (x, y))
     return f"Lanes {result}; for (int z = 0; z < LANES; ++z) {result}[z] = {of_numbers.format(x=x, y=y)};"
 

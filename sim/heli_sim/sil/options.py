@@ -139,11 +139,13 @@ def parse_options(values: dict[str, str]) -> SilOptions:
         flash_file=values.get("flash", ""),
         board=values.get("board", NATIVE),
         elf=values.get("elf", ""),
+        # Without a value, None, which leaves the choice to the kind of board.
         reset_on_open=(
             _flag_of_option("reset_on_open", values["reset_on_open"]) if "reset_on_open" in values else None
         ),
         process=_flag_of_option("process", values.get("process", "0")),
         model=values.get("model", ""),
+        # In an address, `effect` lists effects, and `effects` the Python files that declare more of them.
         effects=tuple(filter(None, values.get("effect", "").split(";"))),
         effect_files=tuple(filter(None, values.get("effects", "").split(";"))),
         faults=FaultPlan(

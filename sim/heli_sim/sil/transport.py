@@ -51,6 +51,7 @@ class SilProcess:
         rfc2217: str | None = None,
         timeout_s: float = 30.0,
     ) -> None:
+        # `rfc2217`: HOST:PORT at which the board is served instead of at the pseudo-terminal `pty`.
         self._folder = None if pty is not None else Path(tempfile.mkdtemp(prefix="heli-sil-"))
         path = Path(pty) if pty is not None else Path(str(self._folder)) / "due"
         values = {"rig": rig, "seed": str(seed), "speed": "max" if speed is None else repr(speed)}

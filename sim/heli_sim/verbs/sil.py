@@ -106,7 +106,7 @@ def sil(
 
     rig_name = rig or DEFAULT_RIG
     loaded_rig = load_rig(rig_name)
-    parameters_of_rig = set_from_rig_text(loaded_rig.name, in_simulation(loaded_rig))
+    set_parameters_text = set_from_rig_text(loaded_rig.name, in_simulation(loaded_rig))
     chosen_board = choose(which_board(board, elf), str(elf) if elf is not None else "")
     options = SilOptions(
         rig=rig_name,
@@ -130,11 +130,12 @@ def sil(
     def say_ready(url: str) -> None:
         """Print the address of the board, what it simulates, and how fast."""
         pace = "as fast as the host keeps up" if options.speed is None else f"{options.speed:g} x real time"
-        board_text = "simulated board" if not chosen_board.elf else chosen_board.text
+        # Only the emulated Due has an ELF, which its text names.
+        board_text = chosen_board.text if chosen_board.elf else "simulated board"
         rig_text = " with ".join(filter(None, (options.rig, ", ".join(options.effects))))
         say(f"{board_text} on {url}, rig {rig_text}, {pace}; Ctrl-C ends it")
-        if parameters_of_rig:
-            say(parameters_of_rig)
+        if set_parameters_text:
+            say(set_parameters_text)
         if has_console:
             say(f"to rehearse, type: {HELP}")
         if not is_local(url):

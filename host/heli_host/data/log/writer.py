@@ -550,6 +550,7 @@ class LogWriter:
 
     def _drop_pending_ticks(self, pending: list[TickBatch | JsonMessage]) -> None:
         """Discard pending ticks and count them, because the disk is blocked; keep the newest messages."""
+        # They were counted as logged when they began to wait; in the log, they are a gap like lost ticks.
         dropped_ticks = sum(int(part.tick.size) for part in pending if isinstance(part, TickBatch))
         self._unreported_drops += dropped_ticks
         self._counters.ticks_dropped += dropped_ticks

@@ -41,7 +41,8 @@ Messages of one moment reach a recorder in changing order; without this, half of
 of the row before."""
 _WRAP_SHARE: Final = 0.5
 _MAX_WRAPS: Final = 0.05
-"""Share of a column's range that a step exceeds at a wrap, and largest share of such steps."""
+"""Share of a column's range that a step exceeds at a wrap, and largest share of such steps. A column with
+more of them switches between few values: it is no counter of an arm that turns slowly."""
 _MAX_PAUSES: Final = 0.01
 """Share of longer pauses above which a signal is one that programs send only when it changes."""
 
@@ -171,7 +172,11 @@ def interpolated_angle(t_s: Floats, value_times_s: Floats, values: Floats) -> Fl
     if not is_wrap.any() or is_wrap.mean() > _MAX_WRAPS:
         return line
     before = np.clip(np.searchsorted(value_times_s, t_s, side="right") - 1, 0, steps.size - 1)
-    step = np.where(is_wrap, np.roll(np.where(is_wrap, 0.0, steps), 1), steps)[before]
+    # At a wrap, the angle goes on by the step before; that counts as 0 if it is a wrap, too. The first step
+    # has none before it, and takes the last one.
+    without_wraps = np.where(is_wrap, 0.0, steps)
+    previous = np.concatenate((without_wraps[-1:], without_wraps[:-1]))
+    step = np.where(is_wrap, previous, steps)[before]
     intervals_s = np.maximum(np.diff(value_times_s), np.finfo(np.float64).tiny)
     share = np.clip((t_s - value_times_s[before]) / intervals_s[before], 0.0, 1.0)
     continued = np.where(

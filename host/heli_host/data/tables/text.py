@@ -94,6 +94,8 @@ _MIN_NAMED_SHARE: Final = 0.5
 _MIN_NAMES_SHARE: Final = 0.05
 """Share of the lines with the same names from which they are complete: signals have several rates, or come in
 lines of their own. Damage changes the names of a line at random."""
+_MIN_REORDERED: Final = 4
+"""Fewest cells of a row that count as another header. A row of fewer may repeat the names by chance."""
 _MIN_NAMES: Final = 5
 """Fewest names of a header with any other number of columns; a title may have a few commas."""
 _MIN_SIGNAL_ROWS: Final = 10
@@ -979,12 +981,13 @@ def _refuse_other_header(path: Path, header: list[str], rows: list[str], dialect
 
     The columns below it have another meaning.
     """
+    # The last line of the header has the names.
     names = [cell.strip(' "') for cell in _split_cells(header[-1], dialect)] if header else []
-    for number, row in enumerate(rows, 1):
+    for number, row in enumerate(rows, 1):  # counted below the header
         if not _WORD_FIRST.match(row):
             continue
         cells = [cell.strip(' "') for cell in _split_cells(row, dialect)]
-        if cells != names and len(cells) > _MIN_NAMED and sorted(cells) == sorted(names):
+        if cells != names and len(cells) >= _MIN_REORDERED and sorted(cells) == sorted(names):
             raise FlightDataError(
                 f"{path}: the columns change their order at row {number}, where another header is "
                 f"({row[:60]})",

@@ -196,9 +196,8 @@ def fly_plans(
 ) -> FlownFlight:
     """Fly plans on the board that the options name; write log and figure. The caller writes the summary."""
     from heli_host.data.log.blind import Truth, truth_path
-    from heli_host.data.log.disk import check_new
     from heli_host.fly.runner import fly
-    from heli_host.link.transport import transport_label, transport_note, transport_rig
+    from heli_host.link.transport import transport_board_name, transport_note, transport_rig
     from heli_host.ui.cli.live import LiveLine
     from heli_host.ui.foxglove_feed import foxglove_feed
 
@@ -206,15 +205,12 @@ def fly_plans(
     if options.blind and options.twin is not None:
         raise typer.BadParameter("--twin names what has changed; leave it out, or leave out --blind")
     options = options.with_seed()
-    address = options.address()
+    address = options.address()  # None for a physical board
     check_gains(options.gains, options.sil)
     parameters = (
         chosen_parameters(options.params, options.gains) if options.parameters is None else options.parameters
     )
-    check_result_places(options.json, figure=options.figure)
-    data_on_stdout(options.json)
-    if options.log is not None:
-        check_new(options.log)
+    _check_result_files(options)
     truth = None
     if options.blind and address is not None:
         truth = Truth.seal(options.simulation_settings(address, plan_names))
@@ -242,9 +238,10 @@ def fly_plans(
                 log_path=files.log,
                 figure_path=files.figure,
                 on_progress=partial(_show_progress, live),
+                # `rig_name` is only written to the log; the finished flight is checked against `rig`.
                 rig_name="" if options.blind else rig_name(options.rig, simulated=options.sil),
                 rig=options.rig or transport_rig(transport),
-                board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
+                board_name=transport_board_name(transport),
                 twin=watch,
                 land_on_change=land_on_alarm,
                 seal_digest=truth.digest if truth is not None else "",
@@ -258,6 +255,16 @@ def fly_plans(
     if truth is not None:
         lines += [f"sealed: {truth.digest}", f"truth (keep it, share only the other files): {truth_file}"]
     return FlownFlight(summary, files.log, tuple(lines), files.json, files.figure)
+
+
+def _check_result_files(options: FlightOptions) -> None:
+    """Refuse files of results that cannot be written, and keep standard output for JSON if it goes there."""
+    from heli_host.data.log.disk import check_new
+
+    check_result_places(options.json, figure=options.figure)
+    data_on_stdout(options.json)
+    if options.log is not None:
+        check_new(options.log)
 
 
 class _ResultFiles(NamedTuple):

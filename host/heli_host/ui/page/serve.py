@@ -128,19 +128,22 @@ class _PageServer(uvicorn.Server):
     def __init__(self, application: ASGIApp) -> None:
         super().__init__(
             uvicorn.Config(
-                _closing(application),
+                _closing_each_connection(application),
                 log_level="warning",
                 access_log=False,
                 lifespan="on",
                 http=H11Protocol,
                 ws=_MeteredWebSocket,
                 ws_max_size=_LONGEST_MESSAGE_BYTES,
+                # A small message may unpack to a large one, which `Meter` does not see.
                 ws_per_message_deflate=False,
-                timeout_graceful_shutdown=1,
+                timeout_graceful_shutdown=1,  # A page may never end its connection [s]
                 server_header=False,
             )
         )
+        # Event loop in which connections are served; None before the server has started.
         self._loop: asyncio.AbstractEventLoop | None = None
+        # Connections that were accepted, but that the server does not count yet.
         self._arriving: set[socket.socket] = set()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -221,7 +224,7 @@ class _MeteredWebSocket(WebSocketsSansIOProtocol):
             self.transport.abort()
 
 
-def _closing(application: ASGIApp) -> ASGIApp:
+def _closing_each_connection(application: ASGIApp) -> ASGIApp:
     """Return an application that ends each connection after its response."""
     # The next request of a browser then arrives on a new connection. On an old one, a stop would reach the
     # event loop of the other clients.

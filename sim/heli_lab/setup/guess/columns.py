@@ -333,6 +333,7 @@ def check_third_angle(
     unstated = [axis for axis in AXES if axis not in options.stated]
     nats = {axis: regressions[axis].log_likelihood_ratio for axis in AXES}
     is_excited = min(nats["elevation"], nats["pitch"]) > _EXCITED_NATS
+    # If no name states an angle, only travel shows whether the third one exists, because it follows pitch.
     if len(unstated) == len(AXES) and is_excited and nats["travel"] < DECISIVE_NATS:
         raise FlightDataError(
             f"{source}: no column moves like travel ({best.columns['travel']} follows pitch by only "
@@ -342,9 +343,10 @@ def check_third_angle(
         )
     if len(unstated) != 1:
         return
-    # Travel follows pitch, so a wrong column for pitch moves neither with the voltages nor with travel.
+    # Travel follows pitch, so a column of pitch has to follow the voltages, and travel has to follow it.
     axes = ("pitch", "travel") if unstated == ["pitch"] else unstated
-    if min(regressions[axis].log_likelihood_ratio for axis in axes) < DECISIVE_NATS:
+    if any(nats[axis] < DECISIVE_NATS for axis in axes):
+        # If another order of the three angles fits better, the names are wrong, not the third column.
         if contradictions := _contradictions(best, options, files, reference):
             raise FlightDataError(
                 f"{source}: the names of the angles contradict the motion ({contradictions[0].alternative})",
@@ -428,6 +430,7 @@ def _sorted_by_meaning(
         elif not meaning.role and _counts_rows(first.table.columns[name].values):
             left_out[name] = "a counter of rows"
         elif meaning.quantity:
+            # Such as a setpoint, which is neither a measured angle nor a voltage.
             left_out[name] = meaning.quantity
         elif meaning.role in known_roles:
             left_out[name] = f"the profile states another column for {meaning.role}"
@@ -444,7 +447,8 @@ def _sorted_by_meaning(
         # Measured angles first, and among them those of encoders: the first column is kept of each copy.
         columns.sort(key=lambda name: (not meanings[name].is_measured, name not in first.encoders))
         measured = [name for name in columns if meanings[name].is_measured]
-        named[role] = _without_copies(first, role, columns, measured, left_out)
+        named[role], copies = _without_copies(first, role, columns, measured)
+        left_out |= copies
     return _SortedColumns(named, unnamed, left_out)
 
 
@@ -474,13 +478,14 @@ def _keep_motors_or_sums(named: dict[str, list[str]], left_out: dict[str, str]) 
 
 
 def _without_copies(
-    file: PreparedFile, role: str, columns: list[str], measured: list[str], left_out: dict[str, str]
-) -> list[str]:
+    file: PreparedFile, role: str, columns: list[str], measured: list[str]
+) -> tuple[list[str], dict[str, str]]:
     """Return the columns of one role without copies of its first one, and without those that are not measured
-    if others are; the reasons are added to `left_out`.
+    if others are; and the columns that are left out, with the reasons.
     """
     signals = file.signals
     kept: list[str] = []
+    left_out: dict[str, str] = {}
     for name in columns:
         # A command and the voltage of its amplifier differ by a gain, which the motion does not show.
         if kept and _are_copies(signals, name, kept[0]) and not _differ_by_gain(file, role, name, kept[0]):
@@ -494,7 +499,7 @@ def _without_copies(
             left_out[name] = f"{measured[0]} is measured"
         else:
             kept.append(name)
-    return kept
+    return kept, left_out
 
 
 def _distinct_columns(

@@ -160,7 +160,7 @@ def _serve_board(
 ) -> None:
     """Serve the page of a board until Ctrl-C; fly `first_plans` as soon as a page watches."""
     from heli_host.fly.recorder import Recorder
-    from heli_host.link.transport import transport_label, transport_note
+    from heli_host.link.transport import transport_board_name, transport_note
     from heli_host.ui.foxglove_feed import foxglove_feed
     from heli_host.ui.page.cockpit import Cockpit
     from heli_host.ui.page.serve import serving
@@ -184,7 +184,7 @@ def _serve_board(
                 flight_folder() / "flight.mcap",
                 rig_name=name,
                 plans=flown,
-                board_name=transport_label(transport).partition(",")[0].removesuffix(" board"),
+                board_name=transport_board_name(transport),
                 duration_s=duration_s,
             )
 
