@@ -29,8 +29,10 @@ from tests.page.page_server import Served, SocketPage, page_of_a_simulated_board
 
 
 def missing(page: SocketPage) -> int:
-    """Count the ticks that a tab did not get, of those since the first frame, which may be thinned."""
-    tick = np.concatenate([batch.tick for batch in list(page.rows)[1:]])
+    """Count the ticks that a tab did not get, of those since the history, which may be thinned."""
+    # The history follows an empty frame, which the page must answer first.
+    frames = [rows for rows in list(page.rows) if rows.tick.size]
+    tick = np.concatenate([rows.tick for rows in frames[1:]])
     return int((np.diff(tick) - 1).sum())
 
 
