@@ -190,14 +190,14 @@ def saved_parameters(transport: Transport, timeout_s: float) -> dict[str, float]
     origin = ParamsOriginMessage.unpack(
         board.ask(ParamsOriginReadMessage(UNNUMBERED), min_bytes=ParamsOriginMessage.STRUCT.size)
     )
-    # After a migration, the board lists them in the order of its own schema, which is another.
-    if origin.schema == PARAMS_HASH and origin.source == ParamsSource.MIGRATED:
-        raise _unreadable_error(
-            f"it saved them under this host's schema {PARAMS_HASH:08x}, but its firmware has another"
-        )
     if origin.schema != PARAMS_HASH:
         raise _unreadable_error(
             f"it saved them under the schema {origin.schema:08x}, this host's is {PARAMS_HASH:08x}"
+        )
+    # Its firmware may have another list of parameters, whose order this host does not know.
+    if origin.source == ParamsSource.MIGRATED:
+        raise _unreadable_error(
+            f"it saved them under this host's schema {PARAMS_HASH:08x}, but its firmware cannot use them all"
         )
     # Under the same schema, the parameters have the names and the order of this host's declaration.
     values: list[float] = []
