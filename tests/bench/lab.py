@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Final
 
 import heli_host
-from heli_host.errors import SetpointError
+from heli_host.errors import FlightAborted, SetpointError
 from heli_host.fly.plan import Plan
 from heli_host.fly.runner import fly
 from heli_lab.apps.campaign import Campaign, Case, Store, run_campaign
@@ -61,18 +61,18 @@ def identify_flight_s() -> list[float]:
 def coverage(say: Callable[[str], None] = lambda _: None) -> list[Covered]:
     """Draw fifty rigs that fly to the end, fly each twice, identify each."""
     flights: list[Covered] = []
-    for seed in itertools.count(1):
+    seeds = itertools.count(1)
+    while len(flights) < RIGS:
+        seed = next(seeds)
         try:
             flights.append(cover(seed))
-        except SetpointError:
-            # If a cable pulls so hard that the short arm stays at its limit, that looks like a wrong sign.
-            say(f"      rig {seed}: the board ended the flight; another rig is drawn")
+        except (FlightAborted, SetpointError) as error:
+            # A cable that pulls hard is taken for a wrong sign, or keeps travel from its setpoint.
+            say(f"      rig {seed}: the board ended the flight ({error}); another rig is drawn")
             continue
         if len(flights) % 10 == 0:
             share = share_within(flights)
             say(f"      {len(flights)} of {RIGS} rigs: {share:.1%} within two standard errors")
-        if len(flights) == RIGS:
-            break
     return flights
 
 

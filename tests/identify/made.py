@@ -9,6 +9,7 @@ import numpy as np
 from heli_host.board.heli import Heli
 from heli_host.data.flight import Flight
 from heli_host.data.log.reader import read_flight
+from heli_host.errors import FlightAborted
 from heli_host.fly.plan import Plan
 from heli_host.fly.recorder import Recorder
 from heli_host.fly.runner import fly
@@ -95,7 +96,8 @@ def flown_by_plan(
         for name, value in (parameters or {}).items():
             heli.params[name] = value
         summary = fly(heli, plan, log_path=path)
-        assert summary.completed or "landing_timeout" in summary.outcome, summary.outcome
+        if not (summary.completed or "landing_timeout" in summary.outcome):
+            raise FlightAborted(summary.outcome)
         return read_flight(path)
 
 
