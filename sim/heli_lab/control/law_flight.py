@@ -20,7 +20,6 @@ from heli_host.errors import FlightDataError
 from heli_host.fly.pilot import LAW_TAKEN_OVER
 from heli_host.fly.plan import Plan
 from heli_host.ui.cli.flight import FlightOptions, FlownFlight, fly_plans
-from heli_host.ui.cli.options import chosen_parameters
 from heli_host.ui.cli.say import QUIET
 
 from heli_lab.simulated_board import WITHOUT_TRAVEL_CHECKS
@@ -88,10 +87,7 @@ def _without_travel_checks(options: FlightOptions) -> FlightOptions:
     # overshoot of 23 % instead of 12 %, and not settle. A real board keeps its checks.
     if not options.sil:
         return options
-    parameters = options.parameters
-    if parameters is None:
-        parameters = chosen_parameters(options.params, options.gains)
-    return replace(options, parameters={**parameters, **WITHOUT_TRAVEL_CHECKS})
+    return replace(options, parameters={**options.parameters_to_set(), **WITHOUT_TRAVEL_CHECKS})
 
 
 STEP_deg: Final = 10.0

@@ -206,7 +206,7 @@ def compare(
     figures = write_comparisons(flights, figure)
     result = {"flights": numbers, "figure": str(figure), "figures": [str(file) for file in figures]}
     if not write_result(json, result):
-        say(*comparison_lines(flights))
+        say(*comparison_lines(numbers, flights))
     say_files(figures)
     taken_over = [label for label in flights if label.endswith(f"({TAKEN_OVER})")]
     if taken_over:

@@ -195,7 +195,7 @@ class KalmanFilter:
         state_by_error = state_by_parameter @ self._directions
         transition = self._step_transition
         transition[:nx, :nx] = phi
-        # Gusts, drift and constant torques all act as torques.
+        # Gusts, drift and constant torques all act as torques: the same block three times, in a view.
         transition[:nx, self._torques].reshape(nx, 3, 3)[:] = state_by_torque[:, None]
         transition[:nx, self._errors] = state_by_error
         predicted = (

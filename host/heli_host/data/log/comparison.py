@@ -103,13 +103,14 @@ def comparison_rows(numbers: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return rows
 
 
-def comparison_lines(flights: Mapping[str, Flight]) -> list[str]:
-    """Return the table of `comparison_numbers` as lines of text, and what its numbers leave out."""
-    table = table_lines([HEADS, *comparison_rows(comparison_numbers(flights))], _WORDS)
+def comparison_lines(numbers: Sequence[Mapping[str, Any]], flights: Mapping[str, Flight]) -> list[str]:
+    """Return the table of `numbers` as lines of text, and what they leave out; they are the result of
+    `comparison_numbers` for the `flights`.
+    """
     notes = [
         f"note: {label}: {note}" for label, flight in flights.items() for note in measuring_notes(flight)
     ]
-    return [*table, *notes]
+    return [*table_lines([HEADS, *comparison_rows(numbers)], _WORDS), *notes]
 
 
 def _number_text(value: float, form: str) -> str:

@@ -44,6 +44,7 @@ from heli_host.data.flight import OWN_COLUMNS
 from heli_host.data.log.schema import (
     CDR_LITTLE_ENDIAN,
     EVENT_TOPIC,
+    FOOTER_BODY_BYTES,
     HEAD,
     LINK_TOPIC,
     RECORD_CRC,
@@ -64,8 +65,7 @@ DATA_END_BYTES = RECORD_HEADER.size + 4
 PARSE_ERRORS = (McapError, ValueError, struct.error)
 """Exceptions of the mcap library for a damaged record."""
 
-_FOOTER_BODY_BYTES = 20
-_FOOTER_BYTES = RECORD_HEADER.size + _FOOTER_BODY_BYTES
+_FOOTER_BYTES = RECORD_HEADER.size + FOOTER_BODY_BYTES
 _CRC_BYTES = 4
 _MAGIC = bytes(MCAP0_MAGIC)
 
@@ -87,10 +87,10 @@ def read_index(data: memoryview) -> Index | None:
     footer_start = len(data) - len(_MAGIC) - _FOOTER_BYTES
     if footer_start < 0 or data[-len(_MAGIC) :] != _MAGIC:
         return None
-    if RECORD_HEADER.unpack_from(data, footer_start) != (Opcode.FOOTER, _FOOTER_BODY_BYTES):
+    if RECORD_HEADER.unpack_from(data, footer_start) != (Opcode.FOOTER, FOOTER_BODY_BYTES):
         return None
     body_start = footer_start + RECORD_HEADER.size
-    footer = parse(Footer, data[body_start : body_start + _FOOTER_BODY_BYTES])
+    footer = parse(Footer, data[body_start : body_start + FOOTER_BODY_BYTES])
     summary_start = footer.summary_start
     if not len(_MAGIC) <= summary_start <= footer_start:
         return None

@@ -34,6 +34,8 @@ LINK_SCHEMA_NAME = "heli_host.Link"
 
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 """Encapsulation header of every CDR message."""
+FOOTER_BODY_BYTES = 20
+"""Length of the record that ends a file, without its opcode and its length: two offsets and a CRC."""
 
 
 EVENT_SCHEMA = json.dumps(

@@ -48,6 +48,7 @@ from heli_host.data.log.schema import (
     EVENT_SCHEMA,
     EVENT_SCHEMA_NAME,
     EVENT_TOPIC,
+    FOOTER_BODY_BYTES,
     HEAD,
     LEVEL_ERROR,
     LEVEL_INFO,
@@ -114,7 +115,6 @@ _MESSAGE_HEADER = struct.Struct("<BQHIQQ")
 _INDEX_HEADER = struct.Struct("<BQHI")
 _INDEX_ENTRY = np.dtype([("log_time_ns", "<u8"), ("offset", "<u8")])
 _FOOTER_START = struct.Struct("<BQQQ")
-_FOOTER_BODY_BYTES = 20
 _TICK_RECORD = tick_record(TICK_LAYOUT)
 
 _SCHEMAS = (
@@ -321,7 +321,7 @@ class McapBytes:
         summary = builder.data()
         # The CRC covers the summary and the footer up to the CRC itself.
         footer_start = _FOOTER_START.pack(
-            Opcode.FOOTER, _FOOTER_BODY_BYTES, summary_start, summary_offset_start
+            Opcode.FOOTER, FOOTER_BODY_BYTES, summary_start, summary_offset_start
         )
         crc = zlib.crc32(footer_start, zlib.crc32(summary))
         Footer(summary_start=summary_start, summary_offset_start=summary_offset_start, summary_crc=crc).write(

@@ -132,6 +132,10 @@ class FlightOptions:
             )
         check_target(self.port, self.sil)
 
+    def parameters_to_set(self) -> Mapping[str, float]:
+        """Return the parameters to fly with: the given ones, or those of the file."""
+        return chosen_parameters(self.params, self.gains) if self.parameters is None else self.parameters
+
     def with_seed(self) -> FlightOptions:
         """Return options that name a seed: a random one for a blind flight."""
         # Otherwise a known seed lets a reader fly the same flight with each effect, and compare byte by byte.
@@ -207,9 +211,7 @@ def fly_plans(
     options = options.with_seed()
     address = options.address()  # None for a physical board
     check_gains(options.gains, options.sil)
-    parameters = (
-        chosen_parameters(options.params, options.gains) if options.parameters is None else options.parameters
-    )
+    parameters = options.parameters_to_set()
     _check_result_files(options)
     truth = None
     if options.blind and address is not None:

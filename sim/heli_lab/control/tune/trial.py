@@ -221,8 +221,11 @@ def _draw_flights(panels: Sequence[Axes], trials: Sequence[Trial]) -> None:
         voltage_panel.plot(flight.t_s, flight.front_V, color=colour, lw=0.5)
     # All flights follow the same setpoints.
     first = trials[0].flight
-    no_pitch_setpoint = None  # The travel loop computes another one in each flight
-    setpoints = (first.elevation_setpoint_rad, no_pitch_setpoint, first.travel_setpoint_rad)
+    setpoints = (
+        first.elevation_setpoint_rad,
+        None,  # of pitch: the travel loop computes another one in each flight
+        first.travel_setpoint_rad,
+    )
     for axes, axis, setpoint_rad in zip(angle_panels, AXES, setpoints, strict=True):
         if setpoint_rad is not None:
             setpoint_deg = np.rad2deg(setpoint_rad)

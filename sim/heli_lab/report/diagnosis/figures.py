@@ -539,13 +539,13 @@ def figure_of_gain(
     figure.subplots_adjust(left=0.065, bottom=0.155, right=0.985, top=0.83, wspace=0.18)
     positions = np.arange(len(horizons))
     bar_width = 0.32
-    offset = 0.18 if extended else 0.0  # two bars stand next to each other, a single one in the middle
+    bar_offset = 0.18 if extended else 0.0  # two bars stand next to each other, a single one in the middle
     for axis, panel, rounding_deg in zip(AXES, panels, np.rad2deg(rounding_rad), strict=True):
         reductions = [horizon[axis] for horizon in horizons.values()]
         before_deg = np.array([reduction.before_deg for reduction in reductions])
         after_deg = np.array([reduction.after_deg for reduction in reductions])
         interval_deg = before_deg * np.array([reduction.interval95 for reduction in reductions]).T
-        panel.bar(positions - offset, before_deg, bar_width, color=BEFORE, label="baseline")
+        panel.bar(positions - bar_offset, before_deg, bar_width, color=BEFORE, label="baseline")
         panel.set_xticks(positions, [f"{key} s" for key in horizons])
         panel.axhline(rounding_deg, color=MEASURED, lw=1.0, ls="--", label="rounding of the encoder alone")
         panel.set_title(axis, fontsize=10.5, loc="left")
@@ -556,10 +556,10 @@ def figure_of_gain(
             # A range from 0 to 0 is invalid.
             panel.set_ylim(0.0, 1.5 * float(max(before_deg.max(), rounding_deg)) or 1.0)
             continue
-        panel.bar(positions + offset, after_deg, bar_width, color=AFTER, label="extended")
+        panel.bar(positions + bar_offset, after_deg, bar_width, color=AFTER, label="extended")
         whiskers_deg = np.abs(interval_deg - after_deg)
         panel.errorbar(
-            positions + offset,
+            positions + bar_offset,
             after_deg,
             whiskers_deg,
             fmt="none",

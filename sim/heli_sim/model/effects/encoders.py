@@ -88,7 +88,7 @@ def _backlash(axis: str) -> EffectSpec:
         ),
         states=(Quantity("shaft_rad", "rad", f"angle y of the {axis} encoder's shaft"),),
         measured_as={"shaft_rad": axis},
-        rank=160,  # place in the catalogue
+        rank=160,
         source="play operator; the play lies between axis and encoder, since no gear drives the arm",
     )
 
@@ -139,7 +139,7 @@ def _encoder_eccentricity(axis: str) -> EffectSpec:
             ),
             Parameter("order", "count", "periods n per revolution", typical=1.0, grid=(1.0, 2.0)),
         ),
-        rank=170,  # place in the catalogue
+        rank=170,
         source="geometry: a disc whose centre is off runs out once a revolution, an oval one twice",
     )
 
@@ -181,7 +181,7 @@ def _zero_offset(axis: str) -> EffectSpec:
         ),
         family=TILTS if axis == "pitch" else None,
         family_numbers={"rad": 1.0} if axis == "pitch" else {},
-        rank=180,  # place in the catalogue
+        rank=180,
         source="definition; on travel it shows only beside a spring, a tilt or an eccentricity",
     )
 

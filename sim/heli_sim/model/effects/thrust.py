@@ -199,7 +199,7 @@ def _thrust_step(rotor: str) -> EffectSpec:
             positive=f"the {rotor} rotor lost {{}} of its thrust",
             negative=f"the {rotor} rotor gained {{}} of its thrust",
         ),
-        rank=60,  # place in the catalogue
+        rank=60,
         source="definition",
     )
 

@@ -107,7 +107,7 @@ def _coulomb_friction(axis: str, typical_Nm: float) -> EffectSpec:
             positive=f"the {axis} axis has {{}} more dry friction",
             negative=f"the {axis} axis has {{}} less dry friction",
         ),
-        rank=110,  # place in the catalogue
+        rank=110,
         source=(
             "Coulomb, with standstill as a damped constraint as solvers of rigid bodies pose it; Runge-Kutta "
             "steps of 10 ms, as identification takes them, are stable down to T = 3.6 ms"
@@ -169,7 +169,7 @@ def _cable_spring(axis: str) -> EffectSpec:
             # About an angle at rest a cable is a stiffness and a constant torque.
             numbers=(f"cable_spring_{axis}_Nm_per_rad", f"torque_{axis}"),
         ),
-        rank=130,  # place in the catalogue
+        rank=130,
         source="Hooke; a constant pull beside it is the rig's torque_" + axis,
     )
 
@@ -334,7 +334,7 @@ def _periodic_torque(axis: str, typical_Nm: float) -> EffectSpec:
                 grid=_frequencies_Hz,
             ),
         ),
-        rank=190,  # place in the catalogue
+        rank=190,
         source="definition",
     )
 
@@ -392,7 +392,7 @@ def _random_torque(axis: str, typical_Nm: float) -> EffectSpec:
         ),
         states=(Quantity("now_Nm", "N m", f"random torque d on the {axis} axis"),),
         noise_inputs=1,
-        rank=200,  # place in the catalogue
+        rank=200,
         source="the simplest coloured noise; Dryden's gusts are of this kind",
     )
 

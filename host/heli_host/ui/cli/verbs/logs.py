@@ -216,7 +216,7 @@ def _compare_flights(logs: Sequence[Path], figure: Path | None, json: Path | Non
         write_comparison(flights, figure)
     if write_result(json, {"flights": numbers, "figure": None if figure is None else str(figure)}):
         return
-    say(*comparison_lines(flights))
+    say(*comparison_lines(numbers, flights))
     say_files([figure])
 
 
